@@ -645,7 +645,7 @@ async def silent(*_: object) -> None:
     await anyio.sleep_forever()
 
 
-async def lost(*_: object) -> None:
+async def lost(*_: object, **__: object) -> None:
     raise ServerNotFound(
         "no server listens: start the server, or wait for it with wait_for_server()"
     )
@@ -672,6 +672,17 @@ async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
 
     assert code == ExitCode.TIMED_OUT
     assert text in capsys.readouterr().err
+
+
+@pytest.mark.asyncio
+async def test_what_became_of_an_accepted_goal_is_said_when_its_server_is_lost(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(send_goal, "print_goal", lost)
+    async with serve(waiting(), "inproc://keys"):
+        with pytest.raises(ServerNotFound):
+            await send_here()
+    assert "was accepted, and it is not known whether it goes on" in capsys.readouterr().err
 
 
 class OtherVersion(ForwardingEndpoint):

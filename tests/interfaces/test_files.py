@@ -9,7 +9,15 @@ import pytest
 
 from fibaction.interfaces import common_messages
 from fibaction.interfaces.definitions import InterfaceError
-from fibaction.interfaces.files import read_action, read_action_texts
+from fibaction.interfaces.files import (
+    inside_out,
+    read_action,
+    read_action_texts,
+    read_message,
+    read_message_texts,
+    read_service,
+)
+from fibaction.interfaces.packages import SearchPath
 
 FILES = Path(__file__).parent.parent / "action_files"
 
@@ -326,3 +334,59 @@ def test_texts_without_what_is_needed_are_an_error(type_name: str, problem: str)
     texts = dict.fromkeys((LIFT, "Lift", "lift_msgs/msg/Lift"), "other_msgs/Load load\n---\n---\n")
     with pytest.raises(InterfaceError, match=problem):
         read_action_texts(type_name, texts)
+
+
+def test_a_message_is_read_by_its_type_with_all_that_it_nests(tmp_path: Path) -> None:
+    write(tmp_path / "near_msgs/msg/Outer.msg", "Inner inner\nbuiltin_interfaces/Time stamp\n")
+    write(tmp_path / "near_msgs/msg/Inner.msg", "int32 x 5\n")
+    search = SearchPath((), [tmp_path])
+
+    outer = read_message("near_msgs/msg/Outer", search)
+
+    assert (outer.type_name, outer.class_name) == ("near_msgs/msg/Outer", "Outer")
+    assert [one.type_name for one in inside_out(outer)] == [
+        "near_msgs/msg/Inner",
+        "builtin_interfaces/msg/Time",
+        "near_msgs/msg/Outer",
+    ]
+    texts = {"near_msgs/msg/Outer": "Inner inner\n", "near_msgs/msg/Inner": "int32 x 5\n"}
+    told = read_message_texts("near_msgs/msg/Outer", texts)
+    assert told.nested["inner"].definition.fields[0].default == 5
+    with pytest.raises(InterfaceError, match="expected 'near_msgs/Inner' on the search path"):
+        read_message_texts("near_msgs/msg/Outer", {"near_msgs/msg/Outer": "Inner inner\n"})
+
+
+def test_a_service_is_read_by_its_type_and_some_need_no_file(tmp_path: Path) -> None:
+    write(tmp_path / "near_msgs/srv/Count.srv", "int32 to\n---\nInner[] found\n")
+    write(tmp_path / "near_msgs/msg/Inner.msg", "int32 x\n")
+    search = SearchPath((), [tmp_path])
+
+    count = read_service("near_msgs/srv/Count", search)
+    trigger = read_service("std_srvs/srv/Trigger", search)
+
+    assert (count.request.type_name, count.response.type_name) == (
+        "near_msgs/srv/Count_Request",
+        "near_msgs/srv/Count_Response",
+    )
+    assert count.response.nested["found"].type_name == "near_msgs/msg/Inner"
+    assert [field.name for field in trigger.response.definition.fields] == ["success", "message"]
+
+
+@pytest.mark.parametrize(
+    ("type_name", "text"),
+    [
+        ("near_msgs/srv/Nothing", "expected near_msgs/srv/Nothing.srv in .*, found none"),
+        ("near_msgs/Nothing", "expected a type like 'std_srvs/srv/Trigger'"),
+        ("near_msgs/srv/Cut", "expected one line '---', between request and response, found 0"),
+    ],
+)
+def test_a_service_that_cannot_be_read_is_told(tmp_path: Path, type_name: str, text: str) -> None:
+    write(tmp_path / "near_msgs/srv/Cut.srv", "int32 to\n")
+    with pytest.raises(InterfaceError, match=text):
+        read_service(type_name, SearchPath((), [tmp_path]))
+
+
+@pytest.mark.parametrize("type_name", ["near_msgs/Outer", "Near/msg/Outer", "near_msgs/srv/Outer"])
+def test_another_name_is_not_that_of_a_message(type_name: str) -> None:
+    with pytest.raises(InterfaceError, match="expected a type like 'std_msgs/msg/String'"):
+        read_message(type_name, SearchPath((), ()))

@@ -140,8 +140,8 @@ def echo_topic(
 
 
 async def _echo(messages: Any, *, full: bool, as_json: bool) -> None:
-    async for message in messages:
-        show(message, full=full, as_json=as_json)
+    while True:
+        show(await messages.next(), full=full, as_json=as_json)
 
 
 async def _subscribed(node: Any, topic: str, qos: str, timeout: float) -> Any:
@@ -168,7 +168,8 @@ def measure_topic(topic: str, qos: str, timeout: float, as_json: bool, url: str)
 async def _measure(messages: Any, *, as_json: bool) -> None:
     times: deque[float] = deque(maxlen=WINDOW)
     due = time.monotonic() + 1
-    async for _ in messages:
+    while True:
+        await messages.next()
         now = time.monotonic()
         times.append(now)
         if now < due or len(times) < 2:

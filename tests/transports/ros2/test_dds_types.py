@@ -15,6 +15,7 @@ from fibaction.interfaces.ros_types import Int32
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, InterfaceFiles
 
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
+EXAMPLES = Path(__file__).parents[3] / "examples/ros2"
 
 
 @pytest.fixture
@@ -269,3 +270,9 @@ def test_a_definition_that_was_loaded_is_one_of_the_versions_and_a_broken_one_is
     define_action("two_msgs/action/Go", {"two_msgs/action/Go": "int33\n---\n---\n"})
     texts = [file.goal.definition.text for file in files.versions("two_msgs/action/Go")]
     assert texts == ["int32 y\n"]
+
+
+def test_an_action_is_served_with_types_of_others_that_are_known_whole(types: FileTypes) -> None:
+    whole = FileTypes([EXAMPLES]).find(FIBONACCI)
+    assert types.can_serve(whole)
+    assert not types.can_serve(types.find_to_follow("near_msgs/action/Unknown"))

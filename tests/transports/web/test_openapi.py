@@ -233,6 +233,17 @@ def test_a_schema_that_is_too_deep_is_left_out() -> None:
     assert made["components"]["schemas"]["deep.goal"] == {}
 
 
+class Span(msgspec.Struct):
+    length: timedelta
+
+
+def test_a_duration_has_the_format_and_the_pattern_that_its_server_reads() -> None:
+    span: Action[Any, Any, Any] = Action("span", goal=Span, feedback=int, result=str)
+    length = schemas_of(span.info)["span.goal"]["properties"]["length"]
+    assert length["format"] == "iso-duration"
+    assert length["pattern"] == PATTERNS["iso-duration"]
+
+
 def example(schema: dict[str, Any]) -> Any:
     made = described(ActionInfo("move", "", schema, {}, {}))
     body = made["paths"]["/actions/move/goals"]["post"]["requestBody"]
