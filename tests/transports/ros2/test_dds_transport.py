@@ -23,6 +23,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.border.abc import ForwardingEndpoint
 from fibaction.border.urls import transport_for
 from fibaction.schema.template import Template
 from fibaction_transports.ros2 import DdsTransport, ros2_transport
@@ -252,3 +253,14 @@ async def test_goals_feedback_and_results_may_be_large(size: int, tmp_path: Path
 
 class Other(msgspec.Struct):
     data: bytes
+
+
+async def test_an_endpoint_in_ros_is_served_again_with_the_type_that_it_has() -> None:
+    first, second = (f"dds://?namespace=/t{uuid.uuid4().hex}" for _ in range(2))
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), first),
+            connect(first) as connection,
+            serve(ForwardingEndpoint(connection.endpoint(FIBONACCI)), second),
+        ):
+            assert await call(second, FIBONACCI, Goal(5)) == Result([0, 1, 1, 2, 3, 5])

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
     from fibaction_transports.ros2.messaging.node import Node, open_node
+    from fibaction_transports.ros2.messaging.parameters import RemoteParameters
     from fibaction_transports.ros2.messaging.publisher import Publisher
     from fibaction_transports.ros2.messaging.subscription import Subscription
+    from fibaction_transports.ros2.messaging.transform_buffer import Transform
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
     from fibaction_transports.ros2.zenoh_transport import ZenohTransport
 
@@ -17,8 +19,10 @@ __all__ = [
     "DdsTransport",
     "Node",
     "Publisher",
+    "RemoteParameters",
     "Ros2Transport",
     "Subscription",
+    "Transform",
     "ZenohTransport",
     "open_node",
 ]
@@ -27,7 +31,9 @@ _MODULES = {
     "DdsTransport": "dds_transport",
     "Node": "messaging.node",
     "Publisher": "messaging.publisher",
+    "RemoteParameters": "messaging.parameters",
     "Subscription": "messaging.subscription",
+    "Transform": "messaging.transform_buffer",
     "open_node": "messaging.node",
     "Ros2Transport": "ros2_transport",
     "ZenohTransport": "zenoh_transport",
