@@ -41,7 +41,7 @@ import secure_parts as page  # noqa: E402  # a part of docs/, which is no packag
 
 WORK = Action("work", goal=bytes, feedback=int, result=str)
 NAME = WORK.name
-WAITING = 3000
+WAITING = 3200
 """Bytes of a goal that waits for its start, as docs/howto/schedule.md says: a part of the 12 KiB
 that secure.md counts for each active goal, and of the 2 KiB of its connection."""
 ENDLESS, SHORT = msgspec.msgpack.encode(b"endless"), msgspec.msgpack.encode(b"")
