@@ -31,14 +31,14 @@ class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
     run a goal again after a restart."""
 
 
-class _Closing(ABC):
-    """A stream that is closed by `close()` or at the end of a `with` block, without waiting."""
+class Closing(ABC):
+    """An end that is closed by `close()` or at the end of a `with` block, without waiting."""
 
     __slots__ = ()
 
     @abstractmethod
     def close(self) -> None:
-        """Stop reading. Closing twice does nothing."""
+        """Leave it: nothing is read or sent there any more. Closing twice does nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -57,7 +57,7 @@ GoalUpdate: TypeAlias = FeedbackItem | GoalStatus | Outcome[bytes]
 to, or the end."""
 
 
-class GoalStream(_Closing):
+class GoalStream(Closing):
     """The updates of one goal that is followed; the last of them is its outcome.
 
         async for update in stream:
@@ -232,7 +232,7 @@ class _Updates(AsyncIterator[GoalUpdate]):
         return updates[0]
 
 
-class StatusStream(_Closing):
+class StatusStream(Closing):
     """The statuses of all goals of a server: first every goal it knows, then each change."""
 
     known: int = 0

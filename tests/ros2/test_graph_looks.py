@@ -21,6 +21,7 @@ from fibaction_transports.ros2.node.graph_view import (
     no_scout,
 )
 from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import NodeLife
 from fibaction_transports.ros2.qos import EndQos
 
 pytestmark = pytest.mark.anyio
@@ -30,6 +31,8 @@ TOPIC, TYPE = "/robot1/_action/feedback", "p/action/T_FeedbackMessage"
 
 class Graph(GraphView):
     """A graph that grows with each look at how far discovery has come."""
+
+    raise_if_lost = NodeLife.raise_if_lost
 
     def __init__(self, grow: Callable[[Graph, int], None] = lambda graph, look: None) -> None:
         self.names: set[str] = set()

@@ -24,6 +24,8 @@ from fibaction.types.ros_messages import encode
 
 TIMEOUT: Final = 5.0
 """Seconds to find what a verb is about."""
+LISTENED: Final = 1.0
+"""Seconds in which a list of topics is made, at least."""
 SETTLED: Final = 0.3
 """Seconds without a new topic after which a list is whole."""
 WINDOW: Final = 1_000
@@ -101,7 +103,7 @@ def list_topics(as_json: bool, url: str) -> None:
 
     async def act(node: Any) -> None:
         seen: dict[str, str] = {}
-        quiet = anyio.current_time() + max(SETTLED, 1.0)
+        quiet = anyio.current_time() + LISTENED
         while anyio.current_time() < quiet:
             found = node.topics()
             if len(found) > len(seen):

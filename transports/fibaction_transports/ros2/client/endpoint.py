@@ -81,7 +81,7 @@ class GraphLooks:
         Raises:
             ConnectionLost: ROS has been shut down.
         """
-        self.check()
+        self._ros.raise_if_lost()
         began = current_time()
         async with self._view() as view:
             found, state = self.once(look, view), view.discovery()
@@ -103,15 +103,10 @@ class GraphLooks:
         Raises:
             ConnectionLost: ROS has been shut down.
         """
-        self.check()
+        self._ros.raise_if_lost()
         found = look(view or self._ros)
-        self.check()
+        self._ros.raise_if_lost()
         return found
-
-    def check(self) -> None:
-        """Raise `ConnectionLost` if ROS has been shut down."""
-        if not self._ros.is_up:
-            raise ConnectionLost(str(self._ros.error))
 
     def _is_over(self, is_found: bool, began: float) -> bool:
         since, most = (began, LONGEST) if is_found else (self._opened, self._timeout)
@@ -287,7 +282,7 @@ class RosConnection(Connection):
         """
         found = await self._looks.settled(GraphView.served_actions)
         await self._ros.learn(found)
-        self._looks.check()
+        self._ros.raise_if_lost()
         named = [(self._relative(topic), type_name) for topic, type_name in found]
         infos = [_described(self._ros.types, *one) for one in named]
         for info in infos:
@@ -308,7 +303,7 @@ class RosConnection(Connection):
         """See `Connection.interface_texts`. They are those of the version that the server has."""
         full = action_names(self._ros.resolve, action.name)
         await self._ros.learn([(full.feedback, action.type_name)])
-        self._looks.check()
+        self._ros.raise_if_lost()
         texts = self._ros.types.texts(action.type_name)
         if problem := self._version_problem(action):
             self._ros.told.add(problem)

@@ -10,7 +10,7 @@ import anyio
 from anyio import current_time
 
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
+from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.mismatches import explain_mismatch, explain_versions
 from fibaction_transports.ros2.names import ActionNames
@@ -159,7 +159,7 @@ class Presence:
             ConnectionLost: ROS has been shut down.
         """
         while not self.is_there():
-            self._check_ros()
+            self._ros.raise_if_lost()
             if current_time() >= self._deadline and not self.may_return():
                 raise ServerNotFound(self._why_not_found())
             await self._ros.graph_news(LOOK_PAUSE)
@@ -221,12 +221,8 @@ class Presence:
 
     async def _come(self) -> None:
         while not self.is_there():
-            self._check_ros()
+            self._ros.raise_if_lost()
             await self._ros.graph_news(LOOK_PAUSE)
-
-    def _check_ros(self) -> None:
-        if not self._ros.is_up:
-            raise ConnectionLost(str(self._ros.error))
 
     def _poll_liveliness(self) -> None:
         news = self._watch.news()

@@ -17,7 +17,7 @@ from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
 from fibaction_transports.ros2.messaging.parameters import RemoteParameters
-from fibaction_transports.ros2.messaging.publisher import LOOK_PAUSE, Publisher
+from fibaction_transports.ros2.messaging.publisher import Publisher
 from fibaction_transports.ros2.messaging.services import CalledService, ServiceFunction
 from fibaction_transports.ros2.messaging.shared import PartsOfBlock
 from fibaction_transports.ros2.messaging.subscription import Subscription
@@ -99,9 +99,7 @@ class Node(RosTransport):
         """
         name = self._ros.resolve(topic)
         with anyio.move_on_after(timeout):
-            while (found := self.topics().get(name)) is None:
-                self._ros.raise_if_lost()
-                await anyio.sleep(LOOK_PAUSE)
+            found = await self._ros.until(lambda: self.topics().get(name, ""))
             await self._ros.learn_topic(name, found)
             self._ros.types.topic_type(found)
             return found

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-from typing import Any, Final, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import anyio
 
+from fibaction.border.streams import Closing
 from fibaction_transports.ros2.messaging.forms import MessageForm
 from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
 from fibaction_transports.ros2.qos import EndQos
 
-LOOK_PAUSE: Final = 0.02
-"""Seconds between two looks for readers, of which the graph does not tell."""
-
 T = TypeVar("T")
 
 
-class Publisher(Generic[T]):
+class Publisher(Closing, Generic[T]):
     """A publisher of a topic. Messages leave in the order in which they are published."""
 
     def __init__(
@@ -61,9 +58,7 @@ class Publisher(Generic[T]):
             ConnectionLost: The node can send nothing any more.
         """
         with anyio.move_on_after(timeout):
-            while not self._part.reader_count():
-                self._ros.raise_if_lost()
-                await anyio.sleep(LOOK_PAUSE)
+            await self._ros.until(self._part.reader_count)
             return
         raise TimeoutError(f"nobody has subscribed to {self.topic} in {timeout:g} s")
 
@@ -72,14 +67,3 @@ class Publisher(Generic[T]):
         if not self._is_closed:
             self._is_closed = True
             self._ros.remove(self._part)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

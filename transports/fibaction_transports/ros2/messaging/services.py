@@ -13,8 +13,6 @@ from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm
 from fibaction_transports.ros2.node.ros_node import CalledType, RosNode
 
-LOOK_PAUSE: Final = 0.02
-"""Seconds between two looks for a server, of which the graph does not tell."""
 ACQUAINTED: Final = 0.3
 """Seconds for a server to find a new client, where nothing tells that it has. Servers of Fast DDS
 drop the answer to a client that they have not found within 0.1 s."""
@@ -83,9 +81,7 @@ class CalledService:
         with anyio.move_on_after(timeout):
             async with self._turns:
                 missing = "there is no server"
-                while not self._part.is_available():
-                    self._ros.raise_if_lost()
-                    await anyio.sleep(LOOK_PAUSE)
+                await self._ros.until(self._part.is_available)
                 if self._is_new:
                     await anyio.sleep(ACQUAINTED)
                     self._is_new = False

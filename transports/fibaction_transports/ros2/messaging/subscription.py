@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from types import TracebackType
 from typing import Final, Generic, Self, TypeVar
 
 import anyio
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.border.streams import Closing
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm
@@ -26,7 +26,7 @@ T = TypeVar("T")
 logger = clean_logger("fibaction.ros2")
 
 
-class Subscription(Generic[T]):
+class Subscription(Closing, Generic[T]):
     """The messages of a topic, in the order in which they arrive.
 
     It is an async iterator, which ends when it is closed, and raises `ConnectionLost` when its node
@@ -163,14 +163,3 @@ class Subscription(Generic[T]):
             self._forget()
             self._ros.remove(self._part)
             self._news.notify()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import anyio
 
@@ -41,6 +41,12 @@ class Links(NamedTuple):
     """Facts of a diagnosis."""
     trouble: str
     """A sentence that says why no other node can be there; empty if one may be."""
+
+
+LOOK_PAUSE: Final = 0.02
+"""Seconds between two looks at a graph that does not tell of its changes."""
+
+FoundT = TypeVar("FoundT")
 
 
 class RosClock(ABC):
@@ -208,8 +214,8 @@ class NodeLife:
 
     def raise_if_lost(self) -> None:
         """Raise `ConnectionLost` if nothing more will arrive."""
-        if self.error is not None:
-            raise type(self.error)(str(self.error))
+        if not self.is_up:
+            raise ConnectionLost(str(self.error))
 
     def on_loss(self, call: Callable[[ConnectionLost], None]) -> Callable[[], None]:
         """Call this if nothing more will arrive. The function that is returned takes it back."""
@@ -332,6 +338,17 @@ class RosNode(NodeLife, RosGraph):
         tells, and it takes all of them.
         """
         await anyio.sleep(seconds)
+
+    async def until(self, look: Callable[[], FoundT]) -> FoundT:
+        """Look at the graph until something is found there that is not empty, and return it.
+
+        Raises:
+            ConnectionLost: Nothing more will arrive.
+        """
+        while not (found := look()):
+            self.raise_if_lost()
+            await self.graph_news(LOOK_PAUSE)
+        return found
 
     def observed(self) -> AbstractAsyncContextManager[GraphView]:
         """Return a view of the graph to look at while the block lasts. By default, it is the node
