@@ -13,6 +13,7 @@ from signal import SIGTERM
 
 import pytest
 
+from fibaction.cli.bridge.sources import named_urls
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import console
 from tests.cli.conftest import Invoke, Run, Start
@@ -50,6 +51,56 @@ def test_the_page_and_the_actions_are_served_until_a_signal_comes(
     assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
     process.send_signal(number)
     assert ended(process).code == 0
+
+
+def test_several_servers_are_each_in_a_namespace_and_come_and_go_without_the_others(
+    started: Start, here: Run, tcp: str, nobody: str
+) -> None:
+    process = started("console", f"arm={tcp}", tcp, nobody, "--no-open")
+    found = ADDRESS.search(lines_until("console of", process)[-1].replace(", ", "+", 2))
+    assert found is not None
+    there, url, token = found.groups()
+    assert there == f"{tcp}+{tcp}+{nobody}"
+    while fetched(f"{url}/readyz/arm")[0] != 200 or fetched(f"{url}/readyz/tcp")[0] != 200:
+        pass
+    arm, named, away = json.loads(fetched(f"{url}/servers", token)[1])
+    assert (arm["name"], named["name"], away["name"]) == ("arm", "tcp", "tcp_2")
+    assert (arm["url"], away["url"]) == (tcp, nobody)
+    assert ("arm/fibonacci" in arm["actions"], "tcp/fibonacci" in named["actions"]) == (True, True)
+    assert (away["actions"], "away" in arm) == ([], False)
+    assert "no server listens" in away["away"]["reason"]
+    assert (fetched(f"{url}/servers")[0], fetched(f"{url}/topics")[0]) == (401, 401)
+    assert fetched(f"{url}/topics", token) == (200, b"{}")
+    assert fetched(f"{url}/topics/arm/odom", token)[0] == 404
+    assert fetched(f"{url}/readyz") == (503, b"")
+    assert fetched(f"{url}/healthz") == (200, b"1 of 3 servers are away\n")
+    assert (fetched(f"{url}/readyz/tcp_2")[0], fetched(f"{url}/readyz/nothing")[0]) == (503, 401)
+    done = here("send_goal", "arm/fibonacci", "order: 4", url=f"{url}?token={token}")
+    assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    process.send_signal(SIGTERM)
+    assert ended(process).code == 0
+
+
+@pytest.mark.parametrize(
+    ("sources", "told"),
+    [
+        (["a=tcp://x", "a=tcp://y"], "two servers have the name a: give one another name"),
+        (["a=tcp://x", "today.jsonl"], "today.jsonl is not a URL, nor NAME=URL"),
+        (["a=tcp://x", "inproc://x"], "inproc://x"),
+    ],
+)
+def test_servers_that_cannot_be_told_apart_are_one_sentence(
+    invoke: Invoke, sources: list[str], told: str
+) -> None:
+    result = invoke("console", *sources)
+    assert result.exit_code == ExitCode.USAGE
+    assert told in result.stderr
+
+
+def test_a_server_without_a_name_has_that_of_its_host_or_its_scheme() -> None:
+    urls = ["tcp://arm:7400", "nats://arm-2/fleet", "dds://", "tcp://10.0.0.7", "tcp://[::1]:1"]
+    assert list(named_urls(urls)) == ["arm", "arm_2", "dds", "tcp", "tcp_2"]
+    assert named_urls(["tcp://arm?token=a=b"]) == {"": "tcp://arm?token=a=b"}
 
 
 def test_a_server_that_is_not_there_is_one_sentence(invoke: Invoke, nobody: str) -> None:

@@ -130,6 +130,7 @@ def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
         console=False,
         metrics=Metrics(),
         recording="a.mcap",
+        sources=None,
     )
     serve(
         server,
@@ -246,6 +247,7 @@ def settings_of_transports() -> None:
         console=True,
         metrics=None,
         recording=None,
+        sources=None,
     )
     WebTransport(**WIRE, hosts=("robot",), origins=(), console=True, metrics=None)
     RosbridgeTransport(

@@ -12,6 +12,7 @@ from ssl import SSLContext
 from typing import Any, Literal, TypedDict
 
 from fibaction.observe.metrics import Metrics
+from fibaction.observe.sources import Sources
 from fibaction.wire.auth import Authorize
 from fibaction.wire.settings import Limits
 from fibaction.wire.tls_files import TlsFiles
@@ -108,6 +109,7 @@ class ServeKeywords(TypedDict, total=False):
     console: bool
     metrics: Metrics | None
     recording: str | PathLike[str] | None
+    sources: Sources | None
 
 
 class AgentPolicyKeywords(TypedDict, total=False):
@@ -258,3 +260,4 @@ class HttpKeywords(WebSocketKeywords, total=False):
     console: bool
     metrics: Metrics | None
     recording: str | PathLike[str] | None
+    sources: Sources | None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import anyio
 
-from fibaction.border.abc import Connection, Endpoint
+from fibaction.border.abc import Absence, Connection, Endpoint
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.bridge.ends import BridgeEnd
 from fibaction.cli.bridge.renames import Renames, clash
@@ -45,6 +46,8 @@ class BridgedActions:
         self._missing: dict[str, int] = {}  # the looks since which a served action is missing
         self._unusable: dict[str, ActionInfo] = {}
         self._clashing: set[str] = set()
+        self.absence: Absence | None = None
+        """The time in which the server does not say which actions it has."""
 
     @property
     def endpoints(self) -> list[Endpoint]:
@@ -55,13 +58,21 @@ class BridgedActions:
         """Look for actions that have come or gone, until canceled."""
         while True:
             await anyio.sleep(period)
-            try:
-                infos = await self._connection.actions()
-            except ActionError:
-                continue  # the server is away; its goals can be followed again when it is back
-            before = dict(self._served)
-            await self.take(infos)
-            self._tell_changes(before)
+            await self.look()
+
+    async def look(self) -> None:
+        """Serve what has come, and stop serving what has gone."""
+        try:
+            infos = await self._connection.actions()
+        except ActionError as exc:
+            # The server is away; its goals can be followed again when it is back.
+            since = self.absence.since if self.absence else time.time()
+            self.absence = Absence(since, str(exc))
+            return
+        self.absence = None
+        before = dict(self._served)
+        await self.take(infos)
+        self._tell_changes(before)
 
     def _tell_changes(self, before: Mapping[str, _Bridged]) -> None:
         for name in before:

@@ -14,6 +14,8 @@ import secrets
 import sys
 import webbrowser
 from collections.abc import Mapping
+from contextlib import AsyncExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -22,14 +24,12 @@ import anyio
 import click
 from anyio import to_thread
 
-from fibaction._api import connect
 from fibaction.border.abc import Transport
 from fibaction.border.event_loop import Background
-from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.options import reject_inproc, url_of
-from fibaction.cli.bridge.actions import BridgedActions
+from fibaction.border.urls import transport_for
+from fibaction.cli.arguments.options import url_of
 from fibaction.cli.bridge.ends import open_end
-from fibaction.cli.bridge.renames import AS_THEY_ARE
+from fibaction.cli.bridge.sources import BridgedSources, named_urls
 from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.process.logs import log_with_time
@@ -43,9 +43,10 @@ Examples:
   fibaction console tcp://192.168.0.7:7400
   fibaction console ros2:// --port 8080
   fibaction console nats://127.0.0.1:4222/fleet --no-open
+  fibaction console arm=tcp://10.0.0.7:7400 nats://10.0.0.2/fleet dds://
   fibaction console today.jsonl""",
 )
-@click.argument("source", metavar="[URL|FILE]", required=False)
+@click.argument("sources", metavar="[[NAME=]URL]...|[FILE]", nargs=-1)
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
@@ -55,23 +56,27 @@ Examples:
 )
 @click.option("--no-open", is_flag=True, help="Print the address, and open no browser.")
 @click.pass_context
-def console_command(context: click.Context, source: str | None, port: int, no_open: bool) -> None:
-    """Open a page in the browser to watch and operate the actions of a server, or to look at a
+def console_command(
+    context: click.Context, sources: tuple[str, ...], port: int, no_open: bool
+) -> None:
+    """Open a page in the browser to watch and operate the actions of servers, or to look at a
     recording of `fibaction serve --record` or `fibaction record`.
+
+    The actions of several servers are each in a namespace, which is the NAME of the server, or else
+    its host or its scheme. Those that are not there are tried again.
 
     The page is served on this machine only, with a token of its own in the address.
 
     Ctrl-C or SIGTERM ends it; the goals continue at their server. A second one ends it at once.
     """
-    there = source or url_of(context)
+    given = sources or (url_of(context),)
     opens = not no_open and can_open(os.environ, sys.platform)
     with log_with_time():
-        if "://" not in there:
-            check_is_recording(there)
-            run(show_recording, there, port, opens=opens)
+        if len(given) == 1 and "://" not in given[0]:
+            check_is_recording(given[0])
+            run(show_recording, given[0], port, opens=opens)
         else:
-            reject_inproc(there)
-            run(console, there, port, opens=opens)
+            run(console, named_urls(given), port, opens=opens)
 
 
 def check_is_recording(path: str) -> None:
@@ -94,17 +99,29 @@ def can_open(environment: Mapping[str, str], platform: str) -> bool:
     return any(name in environment for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
 
 
-async def console(url: str, port: int, *, opens: bool) -> int:
-    """Serve the actions of a server with the console, until a signal comes."""
-    page, token = page_at(port)
-    async with stop_signals() as stop, connect(url) as connection:
-        infos = await connection.actions()
-        async with open_end(page) as end, Background() as tasks:
-            actions = BridgedActions(connection, AS_THEY_ARE, end)
-            await actions.take(infos)
-            tasks.start_soon(actions.follow)
+async def console(urls: dict[str, str], port: int, *, opens: bool) -> int:
+    """Serve the actions of servers, by their names, with the console, until a signal comes.
+
+    Raises:
+        TransportError: The only server is not there. Of several, those that come later are served
+            then.
+    """
+    sources = BridgedSources(urls)
+    page, token = page_at(port, sources=sources)
+    async with stop_signals() as stop, AsyncExitStack() as block:
+        if len(sources.all) == 1:
+            connection = await block.enter_async_context(sources.all[0].open())
+            await connection.actions()
+            end = await block.enter_async_context(open_end(page))
+            serving = [(await sources.all[0].begin(connection, end)).follow]
+        else:
+            end = await block.enter_async_context(open_end(page))
+            serving = [partial(source.serve, end) for source in sources.all]
+        async with Background() as tasks:
+            for serve in serving:
+                tasks.start_soon(serve)
             where = f"{end.where}/#token={token}"
-            await show_page(without_settings(url), where, stop, opens=opens)
+            await show_page(str(sources), where, stop, opens=opens)
     return ExitCode.SUCCEEDED
 
 

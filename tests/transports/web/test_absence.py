@@ -36,7 +36,7 @@ async def test_a_server_that_is_away_is_told_at_once_and_everywhere_until_it_is_
                 assert "away" not in (await fetch(url, "GET", "/actions")).json[0]
 
             await until(url, "/readyz", 503)
-            text = b"the servers of 1 of 1 actions are away\n"
+            text = b"1 of 1 servers are away\n"
             ready, alive = [await fetch(url, "GET", path) for path in ("/readyz", "/healthz")]
             assert (ready.body, ready.headers["retry-after"]) == (text, "1")
             assert (alive.status, alive.body) == (200, text)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Unpack
 
 from fibaction.border.settings import TransportSettings
 from fibaction.observe.metrics import Metrics
+from fibaction.observe.sources import Sources
 from fibaction.wire.wire_server import WireServer
 from fibaction_transports._http.server import SPEAKS_TLS
 from fibaction_transports.web.http.application import WebApplication
@@ -32,6 +33,7 @@ class HttpSettings(WebSocketSettings, frozen=True, kw_only=True):
         "console",
         "metrics",
         "recording",
+        "sources",
     )
 
     console: bool = True
@@ -41,6 +43,8 @@ class HttpSettings(WebSocketSettings, frozen=True, kw_only=True):
     recording: str | PathLike[str] | None = None
     """The file of a recording to serve at `/recording`, which the console shows at the address
     `?recording=NAME`."""
+    sources: Sources | None = None
+    """The servers whose actions are served: the console lists them, and has their topics."""
 
 
 class HttpTransport(WebSocketLineTransport):
@@ -78,6 +82,7 @@ class HttpTransport(WebSocketLineTransport):
         self._console = made.console
         self._metrics = made.metrics
         self._recording = made.recording
+        self._sources = made.sources
 
     @asynccontextmanager
     async def accept_lines(self, server: WireServer) -> AsyncGenerator[str, None]:
@@ -88,6 +93,7 @@ class HttpTransport(WebSocketLineTransport):
             console=self._console,
             metrics=self._metrics,
             recording=self._recording,
+            sources=self._sources,
         )
         listener, url = await self._listen()
         web = WebServer(application, self._scheme)

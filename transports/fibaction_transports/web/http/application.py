@@ -24,6 +24,7 @@ from anyio.abc import ByteStream
 from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
+from fibaction.observe.sources import Sources
 from fibaction.wire.wire_server import WireServer
 from fibaction_transports._http.application import EVERY_METHOD, HttpApplication
 from fibaction_transports._http.exchange import (
@@ -84,9 +85,10 @@ class WebApplication(HttpApplication):
         console: bool = True,
         metrics: Metrics | None = None,
         recording: str | PathLike[str] | None = None,
+        sources: Sources | None = None,
     ) -> None:
-        """Serve the console, too, unless it is not wanted, and metrics and a recording, if there
-        are some.
+        """Serve the console, too, unless it is not wanted, and metrics, a recording and a list of
+        servers, if there are some.
         """
         super().__init__(rules, server.settings.limits, server.frames)
         self.server = server
@@ -98,6 +100,7 @@ class WebApplication(HttpApplication):
             console=console,
             metrics=metrics,
             recording=recording,
+            sources=sources,
         )
         self._sockets: set[CancelScope] = set()
         server.tasks.start_soon(self._hold)

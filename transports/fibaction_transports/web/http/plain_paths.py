@@ -1,26 +1,28 @@
 """`PlainPaths`: the paths that are only read: the files of the pages, and those for operators.
 
 `/healthz` and `/readyz` say that the server answers; they need no token, as the probes of an
-orchestrator have none. While the servers of its actions are away, a bridge is alive and not ready.
+orchestrator have none. While the servers of its actions are away, a bridge is alive and not ready;
+`/readyz/arm` is about the actions of the namespace `arm` only.
 `/metrics` and `/recording` are there if the server has some, for clients that are let in.
 The console shows the recording.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
-from typing import TypeAlias
 
 import anyio
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused
 from fibaction.observe.metrics import Metrics
+from fibaction.observe.sources import Sources
 from fibaction_transports._http.exchange import Exchange
 from fibaction_transports._http.problems import RETRY
 from fibaction_transports.web.http.assets import CLIENT, PAGE, Asset, all_assets
+from fibaction_transports.web.http.source_paths import Read, SourcePaths
 
 ALIVE, READY = "/healthz", "/readyz"
 METRICS = "/metrics"
@@ -30,10 +32,6 @@ READ_ONLY = "GET, HEAD, OPTIONS"
 """The methods of these paths, in the form of the header `Allow`."""
 PIECE = 2**16
 """Bytes of a recording that are read at once."""
-
-
-Read: TypeAlias = Callable[[Exchange], Awaitable[None]]
-"""Answers a request that reads."""
 
 
 class PlainPaths:
@@ -47,14 +45,17 @@ class PlainPaths:
         console: bool,
         metrics: Metrics | None,
         recording: str | PathLike[str] | None,
+        sources: Sources | None,
     ) -> None:
-        """Have the client for JavaScript, and the pages, metrics and a recording where they are
-        wanted; `admit` lets in a client, or raises `Refused`.
+        """Have the client for JavaScript, and the pages, metrics, a recording and servers where
+        they are wanted; `admit` lets in a client, or raises `Refused`.
         """
         self._admit = admit
         self._endpoints = endpoints
         self._metrics = metrics
         self._recording = recording
+        self._sources = sources
+        self._source_paths = SourcePaths(admit, sources)
         self._assets = {
             path: asset
             for path, asset in all_assets().items()
@@ -86,20 +87,35 @@ class PlainPaths:
             return _answer_elsewhere
         if path in self._assets:
             return partial(_answer_with, self._assets[path])
-        if path in (ALIVE, READY):
-            return self._answer_probe
+        for probe in (ALIVE, READY):
+            scope = path.removeprefix(f"{probe}/")
+            if path == probe or (scope != path and self._reached(scope)):
+                return partial(self._answer_probe, "" if path == probe else scope, probe)
         if path == METRICS and self._metrics is not None:
             return partial(self._answer_metrics, self._metrics)
         if path == RECORDING and self._recording is not None:
             return partial(self._answer_recording, self._recording)
-        return None
+        return self._source_paths.reader_of(path)
 
-    async def _answer_probe(self, exchange: Exchange) -> None:
+    def _reached(self, scope: str) -> list[bool]:
+        """Return whether what has a name can be reached: a server, the actions of a namespace, or
+        one action; all servers, or else all actions, if it is empty.
+        """
+        servers = {} if self._sources is None else self._sources.reached()
+        if servers and scope in ("", *servers):
+            return list(servers.values()) if scope == "" else [servers[scope]]
+        return [
+            one.absence is None
+            for name, one in self._endpoints.items()
+            if not scope or f"{name.strip('/')}/".startswith(f"{scope}/")
+        ]
+
+    async def _answer_probe(self, scope: str, probe: str, exchange: Exchange) -> None:
         # Without the names and the reasons, since anyone may ask.
-        there, text = [one.absence is None for one in self._endpoints.values()], "ok"
+        there, text = self._reached(scope), "ok"
         if not all(there):
-            text = f"the servers of {there.count(False)} of {len(there)} actions are away"
-        status = 200 if all(there) or exchange.path == ALIVE else 503
+            text = f"{there.count(False)} of {len(there)} servers are away"
+        status = 200 if all(there) or probe == ALIVE else 503
         retry = () if status == 200 else (RETRY,)
         await exchange.answer(
             status, f"{text}\n".encode(), *retry, kind="text/plain; charset=utf-8"
