@@ -26,7 +26,7 @@ from fibaction.interfaces.structs import make_structs
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.ros_node import RosNode
+from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
 from fibaction_transports.ros2.on_dds import graph
 from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
 from fibaction_transports.ros2.qos import EndQos
@@ -423,10 +423,13 @@ def test_a_version_that_no_file_has_is_looked_for_once_and_few_are_remembered(
     assert read == [PAINT] * 3
 
 
-class SlowNode:
+class SlowNode(NodeLife):
     """A node that learns late of another one, whose service is late, and then lost."""
 
+    graph_news, until = RosNode.graph_news, RosNode.until
+
     def __init__(self) -> None:
+        super().__init__()
         self.looks = self.tries = 0
         self.removed: list[SlowNode] = []
 
@@ -459,7 +462,7 @@ async def test_a_node_and_its_service_are_waited_for_and_may_be_lost(
 ) -> None:
     caplog.set_level("INFO")
     node = SlowNode()
-    asking = cast("type_learner.AskingNode", node)
+    asking = cast("RosNode", node)
     learner = type_learner.TypeLearner(asking, FileTypes(), TypeQuestions(lambda *_: 0))
     await learner.learn([("/go/_action/feedback", "gone_msgs/action/Go")])
     assert node.removed == [node]

@@ -13,6 +13,7 @@ from anyio.abc import TaskGroup
 
 from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
 from fibaction_transports.ros2.on_dds import type_objects, type_questions
 from fibaction_transports.ros2.on_dds.type_objects import read_types
 from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
@@ -58,10 +59,13 @@ def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("FIBACTION_SEARCH")
 
 
-class Robot:
+class Robot(NodeLife):
     """A node of rclpy with one action, as the graph and TypeLookup tell of it."""
 
+    until = RosNode.until
+
     def __init__(self, tasks: TaskGroup, answers: dict[bytes, bytes] = ANSWERS) -> None:
+        super().__init__()
         self.questions = TypeQuestions(self.ask)
         self.asked = 0
         self.described: list[str] = []
@@ -120,7 +124,7 @@ async def robot(**settings: Any) -> AsyncGenerator[tuple[Robot, FileTypes, Any],
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
             node, types = Robot(tasks, **settings), FileTypes()
-            asking = cast("type_learner.AskingNode", node)
+            asking = cast("RosNode", node)
             yield node, types, type_learner.TypeLearner(asking, types, node.questions)
 
 

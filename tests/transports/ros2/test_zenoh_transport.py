@@ -10,11 +10,13 @@ import uuid
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import anyio
 import msgspec
 import pytest
+import zenoh
 
 from fibaction import (
     Action,
@@ -34,6 +36,7 @@ from fibaction_transports.ros2.client import action_client
 from fibaction_transports.ros2.on_zenoh import node, session, zenoh_adapter
 from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS, FILE, OVERRIDE
 from fibaction_transports.ros2.on_zenoh.node import NO_ROUTER, ZenohNode, open_node
+from fibaction_transports.ros2.on_zenoh.session import ZenohSession
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -333,12 +336,26 @@ async def test_peers_go_on_while_their_router_is_away_and_after_it_is_back() -> 
             assert await client.call(Goal(1)) == Result([0, 1])
 
 
+def late_handler(node_session: ZenohSession, take: Callable[[Any], None]) -> Any:
+    """Return a handler that hears of a lost connection long after the tokens behind it have gone,
+    as on a busy machine.
+    """
+
+    def arrived(event: Any) -> None:
+        if event.kind == zenoh.SampleKind.DELETE:
+            Event().wait(0.5)  # in a thread of Zenoh
+        node_session.mailbox.put([(take, event)])
+
+    return zenoh.handlers.Callback(arrived, indirect=False)
+
+
 @pytest.mark.parametrize("reconnect", [True, False])
 async def test_a_client_of_a_router_waits_until_it_is_back_and_loses_no_goal(
-    reconnect: bool, caplog: pytest.LogCaptureFixture
+    reconnect: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level("INFO")
     port, go_on = free_port(), anyio.Event()
+    monkeypatch.setattr(ZenohSession, "handler", late_handler)
 
     async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
         yield Feedback([0])
@@ -421,6 +438,30 @@ async def test_the_nodes_of_a_process_share_a_session_and_each_removes_what_is_i
                 with pytest.raises(ServerNotFound):
                     await client.call(Goal(1))
     assert not session._OPEN
+
+
+async def test_a_session_is_opened_when_the_one_before_it_with_the_same_port_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    where = f'zenoh://?config=listen/endpoints=["tcp/127.0.0.1:{free_port()}"]'
+    close, begun = session.SharedSession.close, Event()
+
+    def close_slowly(shared: session.SharedSession) -> None:
+        begun.set()
+        Event().wait(0.2)
+        close(shared)
+
+    monkeypatch.setattr(session.SharedSession, "close", close_slowly)
+
+    async def use(when: Callable[[], object]) -> None:
+        await anyio.to_thread.run_sync(when)
+        async with connect(where):
+            pass
+
+    with anyio.fail_after(PATIENCE):
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(use, bool)
+            tasks.start_soon(use, begun.wait)
 
 
 async def test_zenohs_own_values_are_followed_and_wrong_ones_are_told(

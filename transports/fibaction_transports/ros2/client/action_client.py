@@ -26,7 +26,7 @@ of all statuses; the streams of the goals are told here.
 stream of statuses is pending. `Presence` knows by the graph, and by signs of life, whether there is
 a server. If it has fallen silent, it is waited for; when it is there again, requests whose answers
 are missing are sent again. If there is none, everything that is pending ends with `ConnectionLost`,
-after `RosNode.last_words` seconds for what is still on its way. A server that was restarted has
+after `RosNode.last_words`, for what is still on its way. A server that was restarted has
 another ID (GID) in the graph: goals that were accepted by servers that are all gone end likewise.
 
 *A loss on the way* is noticed only by what is missing: by a timeout (`ServiceClient`), or by the
@@ -299,7 +299,7 @@ class RosActionClient:
                 logger.info("%s: its server is silent, and is waited for", self._action)
         else:
             self._was_silent = False
-            await anyio.sleep(self._ros.last_words)
+            await self._ros.last_words()
             # One of two servers may have left: its parts leave the graph one after another, and
             # meanwhile their numbers do not match, as if none was there.
             if not (self.presence.is_there() or self.presence.may_return()):
@@ -327,10 +327,13 @@ class RosActionClient:
     async def _fail_gone(self) -> None:
         """End the goals of servers that have gone, although others have taken their place."""
         self._forget_gone()
-        left = [one for one in self._followed if self.presence.have_gone(one.servers)]
-        if left:
-            await anyio.sleep(self._ros.last_words)
-            self._followed.fail(self._gone(), left)
+        if self._left():
+            await self._ros.last_words()
+            self._followed.fail(self._gone(), self._left())
+
+    def _left(self) -> list[RosGoalStream]:
+        """Return the goals whose servers have gone, although there are others."""
+        return [one for one in self._followed if self.presence.have_gone(one.servers)]
 
     def _forget_gone(self) -> None:
         """Forget the status list of a server that has gone. The server that serves now may never

@@ -133,7 +133,7 @@ class Presence:
     def have_gone(self, servers: frozenset[bytes]) -> bool:
         """Return whether none of these servers is there any more, and others are."""
         now = self.servers()
-        return bool(servers and now and servers.isdisjoint(now))
+        return bool(servers and now and servers.isdisjoint(now)) and not self._ros.is_cut
 
     def servers(self) -> frozenset[bytes]:
         """Return the servers, as ROS identifies the ends of the status topic (by GIDs). A server

@@ -102,7 +102,7 @@ class CalledService:
                     await self._news.wait()
                     continue
                 if asked and asked.isdisjoint(self._servers()):
-                    await anyio.sleep(self._ros.last_words)
+                    await self._ros.last_words()
                     gone = _Answer(None, _unanswered(self._service))
                     self._answers[number] = self._answers[number] or gone
         finally:

@@ -46,6 +46,9 @@ class Links(NamedTuple):
 LOOK_PAUSE: Final = 0.02
 """Seconds between two looks at a graph that does not tell of its changes."""
 
+LAST_WORDS: Final = 0.25
+"""Seconds for messages to arrive that a server has sent before it left the graph."""
+
 FoundT = TypeVar("FoundT")
 
 
@@ -247,13 +250,17 @@ class RosNode(NodeLife, RosGraph):
     """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
     confirms_callers: bool = True
     """True if an available server is known to have found its client, to which it will answer."""
-    last_words: float = 0.25
-    """Seconds for messages to arrive that a server has sent before it left the graph."""
 
     @property
     def is_cut(self) -> bool:
         """True if the node has lost its network, which may come back: the graph is unknown then."""
         return False
+
+    async def last_words(self) -> None:
+        """Wait for messages to arrive that a server has sent before it left the graph. After it,
+        `is_cut` is right: a server may seem to leave because the network was lost.
+        """
+        await anyio.sleep(LAST_WORDS)
 
     @abstractmethod
     def resolve(self, name: str) -> str:

@@ -58,6 +58,8 @@ NO_NODES = (
     "the router has heard of no other node of this domain: nodes that were started before it was"
     " restarted may have to be started again; is"
 )
+LAST_WORDS: Final = 0.05
+"""Seconds for the answers of a server that has gone."""
 ROUTER_PAUSE: Final = 1.0
 """Seconds until a router is looked for again."""
 
@@ -70,7 +72,6 @@ class ZenohNode(OwnNode):
     """A node over Zenoh."""
 
     tells_signs = False
-    last_words = 0.05
     scheme = "zenoh"
 
     def __init__(
@@ -132,6 +133,17 @@ class ZenohNode(OwnNode):
     @property
     def is_cut(self) -> bool:
         return self._had_link and not self._links
+
+    async def last_words(self) -> None:
+        """See `RosNode.last_words`. Zenoh closes the link, removes the tokens of all that was
+        behind it, and then tells that the link was lost, one after another.
+        """
+        await anyio.sleep(LAST_WORDS)
+        known, info = list(self._links), self.session.session.info
+        linked = {str(one.zid) for one in await to_thread.run_sync(info.links)}
+        for other in known:
+            if other not in linked:
+                self._links.pop(other, None)
 
     async def graph_news(self, seconds: float) -> None:
         with anyio.move_on_after(seconds):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     DescriptionRequest,
     IndividualTypeDescription,
@@ -12,7 +13,6 @@ from fibaction_transports.ros2.without_ros.descriptions.description_messages imp
 )
 from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
     ActionQuestions,
-    AskingNode,
     ask_node,
 )
 
@@ -25,7 +25,7 @@ class ServiceQuestions(ActionQuestions):
     Tokens announce the hashes of services, of which rclpy tells all types: so goals and results.
     """
 
-    def __init__(self, node: AskingNode) -> None:
+    def __init__(self, node: RosNode) -> None:
         self._node = node
 
     def can_ask(self, ends: Sequence[EndInfo]) -> bool:

@@ -136,7 +136,10 @@ class SharedSession:
 _OPEN: dict[tuple[str, ...], SharedSession] = {}
 _OPENERS: set[int] = set()
 """The process that has opened a session; after a fork, that is another one."""
-_LOCK = Lock()
+_LOCKS: dict[tuple[str, ...], Lock] = {}
+"""The locks of the configurations, which are held while a session is opened or closed: the next
+session may listen at the same port.
+"""
 
 
 def _join(configuration: Configuration) -> SharedSession:
@@ -146,7 +149,7 @@ def _join(configuration: Configuration) -> SharedSession:
             "Zenoh cannot be used in a process that was forked from one that has used it: use"
             ' multiprocessing with "spawn" or "forkserver", or fork before the first connection'
         )
-    with _LOCK:
+    with _LOCKS.setdefault(configuration.key, Lock()):
         shared = _OPEN.get(configuration.key)
         if shared is None:
             _OPENERS.add(os.getpid())
@@ -156,12 +159,11 @@ def _join(configuration: Configuration) -> SharedSession:
 
 
 def _leave(configuration: Configuration, shared: SharedSession) -> None:
-    with _LOCK:
+    with _LOCKS[configuration.key]:
         shared.users -= 1
-        if shared.users:
-            return
-        del _OPEN[configuration.key]
-    shared.close()
+        if not shared.users:
+            del _OPEN[configuration.key]
+            shared.close()
 
 
 @asynccontextmanager

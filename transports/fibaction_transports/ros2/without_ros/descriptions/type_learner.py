@@ -24,6 +24,7 @@ import math
 from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final, Protocol
 
 import anyio
@@ -33,16 +34,9 @@ from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.node.graph_view import FEEDBACK
-from fibaction_transports.ros2.node.parts import (
-    AnswerSink,
-    EndInfo,
-    ErrorSink,
-    NodePart,
-    ServiceCaller,
-    UnansweredSink,
-)
+from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
-from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     described_action,
     described_message,
@@ -57,14 +51,11 @@ from fibaction_transports.ros2.without_ros.descriptions.description_messages imp
 )
 from fibaction_transports.ros2.without_ros.messages.action_types import action_of
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, ServerVersion
-from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 
 ASK_TIME: Final = 1.0
 """Seconds in which the type of an action is learned."""
 SILENCE: Final = 5.0
 """Seconds for which a node that has not answered is not asked again."""
-LOOK_PAUSE: Final = 0.02
-"""Seconds between two looks for the service of a node."""
 MOST_ACTIONS: Final = 100
 """Actions that are asked for at a time."""
 MOST_SILENT: Final = 1_000
@@ -95,42 +86,10 @@ class ActionQuestions(Protocol):
         """
 
 
-class AskingNode(Protocol):
-    """The node that asks."""
-
-    @abstractmethod
-    def publishers(self, topic: str) -> Sequence[EndInfo]:
-        """See `RosNode.publishers`."""
-
-    @abstractmethod
-    def request_readers(self, service: str) -> Sequence[EndInfo]:
-        """See `RosNode.request_readers`."""
-
-    @abstractmethod
-    def answer_writers(self, service: str) -> Sequence[EndInfo]:
-        """See `RosNode.answer_writers`."""
-
-    @abstractmethod
-    def caller(
-        self,
-        service: str,
-        service_type: ServiceType,
-        qos: EndQos,
-        take: AnswerSink,
-        take_unreadable: ErrorSink | None = None,
-        take_unanswered: UnansweredSink | None = None,
-    ) -> ServiceCaller:
-        """See `RosNode.caller`."""
-
-    @abstractmethod
-    def remove(self, part: NodePart) -> None:
-        """See `RosNode.remove`."""
-
-
 class TypeLearner:
     """Learns the types of actions from other nodes."""
 
-    def __init__(self, node: AskingNode, types: FileTypes, questions: ActionQuestions) -> None:
+    def __init__(self, node: RosNode, types: FileTypes, questions: ActionQuestions) -> None:
         self._node = node
         self._types = types
         self._questions = questions
@@ -150,7 +109,7 @@ class TypeLearner:
         """See `RosNode.learn_topic`."""
         if self._types.has_topic_type(type_name):
             return
-        with anyio.move_on_after(ASK_TIME):
+        with suppress(ConnectionLost), anyio.move_on_after(ASK_TIME):
             for end in await self._publishers(topic):
                 request = DescriptionRequest(type_name, end.type_hash)
                 response = await ask_node(self._node, end.node, request)
@@ -175,7 +134,7 @@ class TypeLearner:
         )
 
     async def _learn(self, topic: str, type_name: str) -> None:
-        with anyio.move_on_after(ASK_TIME):
+        with suppress(ConnectionLost), anyio.move_on_after(ASK_TIME):
             for end in await self._publishers(topic):
                 is_whole = not end.action_hash and await self._look_up(end, topic, type_name)
                 if is_whole or await self._learn_from(end, type_name):
@@ -183,14 +142,16 @@ class TypeLearner:
 
     async def _publishers(self, topic: str) -> list[EndInfo]:
         """Return the publishers of feedback, when their nodes are known."""
-        while True:
+
+        def look() -> tuple[list[EndInfo], ...]:
             now = current_time()
             ends = [
                 end for end in self._node.publishers(topic) if self._silent.get(end.gid, 0.0) <= now
             ]
-            if all(end.node for end in ends):
-                return ends
-            await anyio.sleep(LOOK_PAUSE)
+            return (ends,) if all(end.node for end in ends) else ()
+
+        (found,) = await self._node.until(look)
+        return found
 
     async def _look_up(self, end: EndInfo, topic: str, type_name: str) -> bool:
         """Learn all of an action from the types of its messages; return False if that fails."""
@@ -255,9 +216,7 @@ def _hashes(ends: Sequence[EndInfo]) -> frozenset[str]:
     return frozenset(end.type_hash for end in ends) - {""}
 
 
-async def ask_node(
-    asking: AskingNode, node: str, request: DescriptionRequest
-) -> DescriptionResponse:
+async def ask_node(asking: RosNode, node: str, request: DescriptionRequest) -> DescriptionResponse:
     """Ask a node, and wait for the answer as long as it takes."""
     response = DescriptionResponse(failure_reason="the answer cannot be read")
     is_answered = anyio.Event()
@@ -275,8 +234,7 @@ async def ask_node(
         lambda error: is_answered.set(),
     )
     try:
-        while not caller.is_available():  # noqa: ASYNC110 - nothing tells of it
-            await anyio.sleep(LOOK_PAUSE)
+        await asking.until(caller.is_available)
         caller.send(request)
         await is_answered.wait()
     except ConnectionLost as exc:
