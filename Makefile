@@ -198,7 +198,8 @@ $(JAVASCRIPT)/.installed: tests/javascript/package.json tests/javascript/package
 # ROS 2 has environments of its own, since its wheels start each Python of theirs twice: .venv-ros for
 # Kilted, .venv-ros-jazzy for Jazzy. A package of interfaces comes before those that need it.
 INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs \
-    $(addprefix tests/ros2/interfaces/,nav2_msgs nav_msgs trajectory_msgs control_msgs moveit_msgs)
+    $(addprefix tests/ros2/interfaces/,nav2_msgs nav_msgs trajectory_msgs control_msgs moveit_msgs) \
+    $(addprefix tests/ros2/interfaces/,std_srvs tf2_msgs turtlesim)
 
 ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros, or with ROS=jazzy .venv-ros-jazzy: ROS 2 and interfaces
 

@@ -23,11 +23,12 @@ from tests.test_docs import DOCS
 
 pytestmark = pytest.mark.anyio
 HOWTO = DOCS / "howto"
-ROBOTS = ("nav2", "arm")
+ROBOTS = ("nav2", "arm", "turtle")
 """The modules in `tests/ros2/stock` with servers, and the parts of pages that use them."""
 _SECTIONS = {
     "arm": ("nav2", "MoveIt, ros2_control, behaviour trees"),
     "async_node": ("rclpy_node", "With rclpy's AsyncNode"),
+    "turtle": ("ros2_without_ros", "A robot without ROS"),
 }
 """Parts with robots or nodes of their own: the page of each, and its heading."""
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
@@ -46,14 +47,15 @@ def part_of(name: str) -> str:
     ((_, known),) = (one for one in _SECTIONS.values() if one[0] == page)
     before, found, section = text.partition(f"\n## {known}\n")
     assert found
-    return section if heading else before
+    return section.partition("\n## ")[0] if heading else before
 
 
 def page_of(name: str, url: str) -> str:
     """Return the text of a part whose programs use a URL of this kind."""
     text = part_of(name)
-    assert '"ros2://"' in text
-    return text.replace('"ros2://"', f'"{url}"')
+    text, count = re.subn('"(ros2|dds)://"', f'"{url}"', text)
+    assert count
+    return text
 
 
 @both_ways
