@@ -11,6 +11,8 @@ from typing import Any
 import anyio
 import pytest
 from rcl_interfaces.srv import ListParameters
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from std_msgs.msg import Float32MultiArray, String
 
 from fibaction import ConnectionLost, TransportError
@@ -125,6 +127,50 @@ async def test_parameters_are_read_set_and_watched(scheme: str) -> None:
         assert [*changed] == ["speed"]
         with pytest.raises(ValueError, match="refuses"):
             await parameters.set({"speed": "fast"})
+
+
+def not_odd(value: int) -> None:
+    if value % 2:
+        raise ValueError(f"{value} is odd")
+
+
+async def test_declared_parameters_are_seen_set_and_refused_by_rclpy(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        own = node.parameters()
+        assert own.declare("speed", 0.5, high=2.0) == 0.5
+        assert own.declare("wheels", 4, low=2, check=not_odd) == 4
+        assert own.declare("raw", b"ab") == b"ab"
+        with pytest.raises(ValueError, match="declared"):
+            own.declare("wheels", 6)
+        with pytest.raises(ValueError, match="1 is odd"):
+            own.declare("odd", 1, check=not_odd)
+        assert {"speed", "wheels"} <= {*await own.list()}
+        assert (await own.get("speed", "nothing")) == {"speed": 0.5, "nothing": None}
+        asked = AsyncParameterClient(stock, node.name)
+        await until(asked.services_are_ready)
+        changes = own.watch()
+        async with anyio.create_task_group() as tasks:
+
+            async def set_again() -> None:
+                while True:
+                    future = asked.set_parameters([Parameter("wheels", value=6)])
+                    await until(future.done)
+                    assert future.result().results[0].successful
+
+            tasks.start_soon(set_again)
+            assert await anext(changes) == {"wheels": 6}
+            tasks.cancel_scope.cancel()
+        await changes.aclose()
+        for name, value in (("wheels", 3), ("wheels", 0), ("speed", 2.5), ("speed", "fast")):
+            future = asked.set_parameters([Parameter(name, value=value)])
+            await until(future.done)
+            (result,) = future.result().results
+            assert not result.successful
+            assert value != 3 or result.reason == "3 is odd"
+            with pytest.raises(ValueError, match=r"\w"):
+                await own.set({name: value})
+        await own.set({"speed": 1.5})
+        assert own["speed"] == 1.5
 
 
 async def test_what_is_not_installed_is_told() -> None:

@@ -298,7 +298,7 @@ async def test_the_time_of_a_simulation_is_that_of_its_topic() -> None:
 
         await until(told, 12 * 10**9 + 5)
         for wanted in (False, True, True):
-            node.parameters.set_use_sim_time(wanted)
+            node.parameters.set_values({"use_sim_time": wanted})
         assert node.clock.era == 3
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import anyio
@@ -25,7 +26,7 @@ from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, open_node
 from fibaction_transports.ros2.messaging import services, subscription
-from fibaction_transports.ros2.messaging.parameters import written
+from fibaction_transports.ros2.node.own_parameters import written
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_dds.services import DdsCaller
@@ -395,6 +396,148 @@ async def test_parameters_of_another_node_are_listed_read_set_and_refused(scheme
             await parameters.set({"speed": 1.0})
         with pytest.raises(TypeError, match="cannot be a parameter"):
             await parameters.set({"speed": [1, "a"]})  # type: ignore[dict-item]  # that is the test
+
+
+def not_odd(value: int) -> None:
+    if value % 2:
+        raise ValueError(f"{value} is odd")
+
+
+async def test_declared_parameters_are_served_checked_and_watched_at_both_ends(
+    scheme: str,
+) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        own = robot.parameters()
+        assert own.declare("speed", 0.5, description="Metres a second.", low=0.0, high=2.0) == 0.5
+        own.declare("arm.wheels", 4, low=2, check=not_odd)
+        own.declare("names", ["a"])
+        own.declare("frame", "base", is_read_only=True)
+        names = ["use_sim_time", "speed", "arm.wheels", "names", "frame"]
+        assert await own.list() == names
+        others = planner.parameters(robot.name, timeout=PATIENCE)
+        assert await others.list() == names
+        values = {"speed": 0.5, "arm.wheels": 4, "names": ["a"], "frame": "base"}
+        assert await others.get() == await own.get() == {"use_sim_time": False, **values}
+        changes, told = own.watch(), others.watch()
+        async with anyio.create_task_group() as tasks:
+
+            async def set_again() -> None:
+                while True:
+                    await others.set({"speed": 1.5, "names": []})
+                    await anyio.sleep(0.01)
+
+            tasks.start_soon(set_again)
+            assert await anext(changes) == await anext(told) == {"speed": 1.5, "names": []}
+            tasks.cancel_scope.cancel()
+        await changes.aclose()
+        await told.aclose()
+        assert (own["speed"], own["names"]) == (1.5, [])
+        refused: dict[str, Any]
+        for refused, reason in (
+            ({"speed": 3.0}, "'speed' is at least 0 and at most 2, and not 3.0"),
+            ({"speed": 1}, "'speed' is a double"),
+            ({"speed": 0.1, "arm.wheels": 3}, "3 is odd"),
+            ({"names": [1]}, "'names' is a string_array"),
+            ({"frame": "map"}, "'frame' is read-only"),
+            ({"height": 1.0}, "there is no parameter 'height', only 'use_sim_time', 'speed'"),
+        ):
+            for end in (own, others):
+                with pytest.raises(ValueError, match=reason):
+                    await end.set(refused)
+        assert own["speed"] == 1.5
+        for call, error, reason in (
+            (lambda: own.declare("speed", 1.0), ValueError, "'speed' is declared already"),
+            (lambda: own.declare("odd", 1, check=not_odd), ValueError, "1 is odd"),
+            (lambda: own.declare("unset", None), TypeError, "'unset' needs a default"),
+            (lambda: own["nothing"], KeyError, "nothing"),
+        ):
+            with pytest.raises(error, match=reason):
+                call()
+        described = await planner.call(
+            f"{robot.name}/describe_parameters",
+            "rcl_interfaces/srv/DescribeParameters",
+            {"names": ["speed", "arm.wheels", "nothing"]},
+        )
+        speed, wheels, nothing = described.descriptors
+        assert (speed.type, speed.description, speed.read_only) == (3, "Metres a second.", False)
+        assert speed.floating_point_range[0].to_value == 2.0
+        assert (wheels.type, wheels.integer_range[0].to_value) == (2, 2**63 - 1)
+        assert (nothing.type, nothing.integer_range) == (0, [])
+        service = f"{robot.name}/list_parameters", "rcl_interfaces/srv/ListParameters"
+        for asked, found in (
+            ({"prefixes": ["arm"]}, (["arm.wheels"], ["arm"])),
+            ({"depth": 1}, (["use_sim_time", "speed", "names", "frame"], [])),
+        ):
+            result = (await planner.call(*service, asked)).result
+            assert (list(result.names), list(result.prefixes)) == found
+
+
+def trusting(value: object) -> None:
+    raise RuntimeError("cut")
+
+
+async def test_the_values_of_arguments_and_files_are_those_of_declared_parameters(
+    scheme: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("/**: {ros__parameters: {gains: {p: 2.5}, joints: [a, b], loud: 'on'}}")
+    words = [
+        "-p",
+        "wheels:=0x10",
+        "-p",
+        "ids:=[1, 2]",
+        "-p",
+        "name:='7'",
+        "-p",
+        "speed:=fast",
+        "-p",
+        "id:=a",
+    ]
+    arguments = ["--ros-args", "--params-file", str(file), *words]
+    async with open_node(f"{scheme}robot", arguments=arguments) as robot:
+        own = robot.parameters()
+        assert own.declare("gains.p", 1.0) == 2.5
+        assert own.declare("joints", ["x"]) == ["a", "b"]
+        assert own.declare("loud", False) is True
+        assert own.declare("wheels", 4) == 16
+        assert own.declare("ids", [0]) == [1, 2]
+        assert own.declare("name", "") == "7"
+        wrong: Any
+        for name, wrong, problem in (
+            ("speed", 0.5, "-p speed:=fast: expected a double"),
+            ("id", "a", "-p id:=a: RuntimeError: cut"),
+            ("joint", 1, "'joint' is at least 2, and not 1"),
+            ("ids2", 2, "RuntimeError: cut"),
+        ):
+            with pytest.raises(ValueError, match=problem):
+                own.declare(name, wrong, low=2 if wrong == 1 else None, check=trusting)
+        for name, wrong in (("joints2", [1]), ("loud2", b""), ("gains", True)):
+            assert own.declare(name, wrong) == wrong
+        values = "-p", "many:=[1, [2]]", "-p", "raw:=x", "-p", "flag:=7"
+        async with open_node(f"{scheme}other", arguments=["--ros-args", *values]) as other:
+            for name, wrong, word in (
+                ("many", [1], "a integer_array"),
+                ("raw", b"", "a byte_array"),
+                ("flag", True, "true or false"),
+            ):
+                with pytest.raises(ValueError, match=f"-p {name}:=.*: expected {word}"):
+                    other.parameters().declare(name, wrong)
+
+
+async def test_a_watcher_of_own_parameters_learns_that_its_node_was_closed(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, _):
+        changes = robot.parameters().watch()
+        async with anyio.create_task_group() as tasks:
+
+            async def is_told() -> None:
+                with pytest.raises(ConnectionLost, match="closed here"):
+                    await anext(changes)
+
+            tasks.start_soon(is_told)
+            await anyio.wait_all_tasks_blocked()
+            robot._ros.fail(ConnectionLost("the node was closed here"))
+        with pytest.raises(ConnectionLost):
+            robot.parameters().declare("speed", 1.0)
 
 
 async def test_changes_of_parameters_are_watched(scheme: str) -> None:

@@ -56,7 +56,7 @@ def test_namespaces_may_be_levels_of_the_file(file: Path) -> None:
           joints: [a, b]
           gains: {p: 3}
     """
-    assert of_arm(file, text) == {"speed": "2", "joints": ["a", "b"], "gains": {"p": "3"}}
+    assert of_arm(file, text) == {"speed": "2", "joints": ["a", "b"], "gains.p": "3"}
 
 
 @pytest.mark.parametrize("text", ["", "---\n", "# nothing\n"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
     from fibaction_transports.ros2.messaging.node import Node, open_node
-    from fibaction_transports.ros2.messaging.parameters import RemoteParameters
+    from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
     from fibaction_transports.ros2.messaging.publisher import Publisher
     from fibaction_transports.ros2.messaging.subscription import Subscription
     from fibaction_transports.ros2.messaging.transform_buffer import Transform
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DdsTransport",
     "Node",
+    "OwnParameters",
     "Publisher",
     "RemoteParameters",
     "Ros2Transport",
@@ -30,6 +31,7 @@ __all__ = [
 _MODULES = {
     "DdsTransport": "dds_transport",
     "Node": "messaging.node",
+    "OwnParameters": "messaging.parameters",
     "Publisher": "messaging.publisher",
     "RemoteParameters": "messaging.parameters",
     "Subscription": "messaging.subscription",

@@ -16,7 +16,7 @@ from fibaction.border.urls import transport_for
 from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
-from fibaction_transports.ros2.messaging.parameters import RemoteParameters
+from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import Publisher
 from fibaction_transports.ros2.messaging.services import CalledService, ServiceFunction
 from fibaction_transports.ros2.messaging.shared import PartsOfBlock
@@ -155,9 +155,17 @@ class Node(RosTransport):
 
     # Services, and parameters, which are services
 
-    def parameters(self, node: str, *, timeout: float | None = None) -> RemoteParameters:
-        """Return the parameters of another node; each of its calls has this timeout, in seconds."""
-        return RemoteParameters(self, node, timeout)
+    @overload
+    def parameters(self) -> OwnParameters: ...
+    @overload
+    def parameters(self, node: str, *, timeout: float | None = None) -> RemoteParameters: ...
+    def parameters(
+        self, node: str = "", *, timeout: float | None = None
+    ) -> OwnParameters | RemoteParameters:
+        """Return the parameters of this node, to declare and to watch them; or those of another
+        one, by its name: each call to it has this timeout, in seconds.
+        """
+        return RemoteParameters(self, node, timeout) if node else OwnParameters(self._ros)
 
     def full_name(self, name: str) -> str:
         """Return a name in the graph, as this node expands and remaps it.

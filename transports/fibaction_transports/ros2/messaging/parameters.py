@@ -1,35 +1,24 @@
-"""The parameters of another node: read, set, listed and watched."""
+"""The parameters of a node, and of other nodes: read, set, listed and watched."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Mapping
-from typing import Any, Final, Protocol, TypeAlias
+from collections.abc import AsyncGenerator, Callable, Mapping
+from typing import Any, Final, Protocol, TypeVar
 
+from fibaction.border.abc import Notifier
 from fibaction_transports.ros2.messaging.subscription import Subscription
-
-ParameterValue: TypeAlias = (
-    bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str] | None
+from fibaction_transports.ros2.node.own_parameters import (
+    DeclaredParameter,
+    ParameterValue,
+    value_of,
+    written,
 )
-"""The value of a parameter; None if it is not set."""
+from fibaction_transports.ros2.node.ros_node import RosNode
 
 _EVENTS: Final = "/parameter_events"
 _EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
-_NOT_SET, _BYTES = 0, 5
-# rcl_interfaces/msg/ParameterType.msg
-_FIELDS: Final = {
-    1: "bool_value",
-    2: "integer_value",
-    3: "double_value",
-    4: "string_value",
-    _BYTES: "byte_array_value",
-    6: "bool_array_value",
-    7: "integer_array_value",
-    8: "double_array_value",
-    9: "string_array_value",
-}
-"""The fields of a `ParameterValue`, by the numbers of types."""
-_NUMBERS: Final[dict[type, int]] = {bool: 1, int: 2, float: 3, str: 4}
-_ARRAYS: Final[dict[type, int]] = {bool: 6, int: 7, float: 8, str: 9}
+
+ValueT = TypeVar("ValueT", bound=ParameterValue)
 
 
 class CallingNode(Protocol):
@@ -102,36 +91,106 @@ class RemoteParameters:
             events.close()
 
 
-def value_of(value: Any) -> ParameterValue:
-    """Return the value in an `rcl_interfaces/msg/ParameterValue`."""
-    field = _FIELDS.get(value.type)
-    if field is None:
-        return None
-    found: Any = getattr(value, field)
-    if value.type == _BYTES:
-        return bytes(found) if isinstance(found, bytes) else b"".join(found)
-    # Arrays of numbers are those of Python or of numpy.
-    plain: ParameterValue = found.tolist() if hasattr(found, "tolist") else found
-    return plain
+class OwnParameters:
+    """The parameters of the node itself, which other nodes and `ros2 param` read and set."""
 
+    def __init__(self, ros: RosNode) -> None:
+        self._ros = ros
+        self._store = ros.parameters
 
-def written(value: ParameterValue) -> dict[str, Any]:
-    """Return a value as the fields of an `rcl_interfaces/msg/ParameterValue`.
+    def declare(
+        self,
+        name: str,
+        default: ValueT,
+        *,
+        description: str = "",
+        low: float | None = None,
+        high: float | None = None,
+        is_read_only: bool = False,
+        check: Callable[[ValueT], object] | None = None,
+    ) -> ValueT:
+        """Add a parameter of the type of its default, and return its value: that of the arguments
+        of the node and its files of parameters, else the default.
 
-    Raises:
-        TypeError: Parameters cannot have it.
-    """
-    if value is None:
-        return {"type": _NOT_SET}
-    number = _NUMBERS.get(type(value))
-    if isinstance(value, bytes):
-        number = _BYTES
-    elif isinstance(value, list):
-        kinds = {type(one) for one in value} or {str}
-        number = _ARRAYS.get(kinds.pop()) if len(kinds) == 1 else None
-    if number is None:
-        raise TypeError(
-            f"{value!r} cannot be a parameter: these are bool, int, float, str, bytes, and lists"
-            " of one of the first four"
+        A number is from `low` to `high`. `check` is called with each new value, and refuses it with
+        a `ValueError`, whose text others are told. A node of your own over `ros2://` calls it in
+        the thread of its executor.
+
+        Raises:
+            ValueError: There is one of this name, or its first value is refused.
+            TypeError: The default is of a type that parameters cannot have.
+        """
+        self._ros.raise_if_lost()
+        self._store.declare(
+            DeclaredParameter(
+                name=name,
+                default=default,
+                description=description,
+                low=low,
+                high=high,
+                is_read_only=is_read_only,
+                check=check,
+            )
         )
-    return {"type": number, _FIELDS[number]: value}
+        value: ValueT = self[name]
+        return value
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the value of a parameter.
+
+        Raises:
+            KeyError: There is none of this name.
+        """
+        value = self._store.value(name)
+        if value is None:
+            raise KeyError(name)
+        return value
+
+    async def list(self) -> list[str]:
+        """Return the names of all parameters."""
+        return [*self._store.names()]
+
+    async def get(self, *names: str) -> dict[str, ParameterValue]:
+        """Return parameters by their names; all without a name. Those that the node does not have
+        are None.
+        """
+        return {name: self._store.value(name) for name in names or self._store.names()}
+
+    async def set(self, values: Mapping[str, ParameterValue]) -> None:
+        """Set parameters, all of them or none.
+
+        Raises:
+            TypeError: A value is of a type that parameters cannot have.
+            ValueError: A value is refused; the text has the reason.
+            ConnectionLost: The node was closed.
+        """
+        self._ros.raise_if_lost()
+        self._store.set_values(values)
+
+    async def watch(self) -> AsyncGenerator[dict[str, ParameterValue], None]:
+        """Yield the parameters that are set, by others and by the node itself. For a slow reader,
+        the changes of one parameter are one.
+
+        Raises:
+            ConnectionLost: The node was closed.
+        """
+        changed: dict[str, ParameterValue] = {}
+        news = Notifier()
+
+        def note(values: Mapping[str, ParameterValue]) -> None:
+            changed.update(values)
+            news.notify()
+
+        ends = self._store.on_change(note), self._ros.on_loss(lambda error: news.notify())
+        try:
+            while True:
+                if changed:
+                    found = dict(changed)
+                    changed.clear()
+                    yield found
+                    continue
+                self._ros.raise_if_lost()
+                await news.wait()
+        finally:
+            for end in ends:
+                end()

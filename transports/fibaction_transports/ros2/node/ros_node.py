@@ -17,6 +17,7 @@ from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.convert.message_types import MessageKind
 from fibaction_transports.ros2.node.graph_view import GraphView
+from fibaction_transports.ros2.node.own_parameters import ParameterStore
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
@@ -242,6 +243,8 @@ class RosNode(NodeLife, RosGraph):
 
     types: RosTypes
     clock: RosClock
+    parameters: ParameterStore
+    """The parameters of the node itself."""
     full_name: str
     """The name with the namespace, for example `/robot/arm`."""
     namespace: str

@@ -39,6 +39,8 @@ middleware: Any = rclpy.get_rmw_implementation_identifier
 LIVELINESS_CHANGED: Any = raw.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIVELINESS_CHANGED
 
 GoalInfoMessage: Any = import_module("action_msgs.msg").GoalInfo
+ros_messages: Any = import_module("rcl_interfaces.msg")
+ros_parameters: Any = import_module("rclpy.parameter")
 ParameterMessage: Any = import_module("rcl_interfaces.msg").Parameter
 
 _numpy: Any = import_module("numpy")

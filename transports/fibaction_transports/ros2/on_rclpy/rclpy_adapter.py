@@ -169,20 +169,23 @@ async def _warn_if_unspun(ros: RclpyNode) -> None:
 
 
 class ParameterRequests(Source):
-    """The requests to one of the services. They are answered in the thread that spins the node."""
+    """The requests to one of the services. They are answered on the event loop, where the functions
+    of users belong that check values.
+    """
 
     kind = "service"
 
     def __init__(self, service: Any) -> None:
-        super().__init__(service.handle, sink=lambda _: None)  # `take` does all
+        super().__init__(service.handle, sink=lambda taken: self._answer(*taken))
         self._service = service
 
-    def take(self) -> None:
-        """Answer one request. If there are more, the executor wakes again."""
+    def take(self) -> Any:
         request, header = self.handle.service_take_request(self._service.srv_type.Request)
-        if header is not None:
-            response = self._service.callback(request, self._service.srv_type.Response())
-            self._service.send_response(response, header)
+        return None if header is None else (request, header)
+
+    def _answer(self, request: Any, header: Any) -> None:
+        response = self._service.callback(request, self._service.srv_type.Response())
+        self._service.send_response(response, header)
 
 
 def parameter_services(node: Any) -> list[ParameterRequests]:

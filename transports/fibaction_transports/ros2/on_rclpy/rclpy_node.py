@@ -54,6 +54,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
     raw,
     rclpy_qos,
 )
+from fibaction_transports.ros2.on_rclpy.rclpy_parameters import RclpyParameters
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import (
     Messages,
@@ -123,6 +124,9 @@ class RclpyNode(RosNode):
         self.tells_signs = middleware() in SURE
         self._logger = node.get_logger()
         self._mailbox = Mailbox(self.wake)
+        self.parameters = RclpyParameters(
+            node, lambda call, changed: self._mailbox.put([(call, changed)])
+        )
         self.sources = RosWaitable(self._mailbox)
         """The sources of fibaction at this node."""
         self._handles: list[Any] = []
@@ -161,7 +165,8 @@ class RclpyNode(RosNode):
         try:
             full: str = self.node.resolve_topic_name(name)
         except Exception as exc:  # rclpy raises whatever rcl says
-            raise TransportError(f"{name!r} is not a valid name in ROS: {exc}") from exc
+            reason = " ".join(str(exc).split()).partition(", at ")[0]  # then a line of C
+            raise TransportError(f"{excerpt(name)!r} is not a valid name in ROS: {reason}") from exc
         return full
 
     def warn(self, text: str) -> None:

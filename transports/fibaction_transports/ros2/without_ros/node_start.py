@@ -6,20 +6,15 @@ import sys
 import uuid
 from typing import NamedTuple
 
-from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.parameters import USE_SIM_TIME
 from fibaction_transports.ros2.without_ros.ros_arguments import (
     NameResolver,
     NodeName,
-    RosArguments,
+    Override,
     node_name,
     overrides_of,
     read_arguments,
 )
-
-_YES, _NO = ("true", "yes", "on", "y"), ("false", "no", "off", "n")
-"""The words of rcl."""
 
 
 class NodeStart(NamedTuple):
@@ -29,8 +24,8 @@ class NodeStart(NamedTuple):
     resolver: NameResolver
     has_rosout: bool
     """True if its log goes to the topic `/rosout`, too."""
-    use_sim_time: bool | None
-    """The value of this parameter in the arguments; None if they do not have it."""
+    overrides: dict[str, Override]
+    """The values of parameters in the arguments."""
 
 
 def node_start(settings: NodeSettings) -> NodeStart:
@@ -44,19 +39,5 @@ def node_start(settings: NodeSettings) -> NodeStart:
     name = settings.name or f"fibaction_{uuid.uuid4().hex[:8]}"
     full = node_name(name, settings.namespace, arguments)
     resolver = NameResolver(full, arguments)
-    return NodeStart(full, resolver, arguments.has_rosout, _simulated_time(full, arguments))
-
-
-def _simulated_time(node: NodeName, arguments: RosArguments) -> bool | None:
-    """Return the value of `use_sim_time` in the arguments; None if they do not have it.
-
-    Raises:
-        TransportError: It is not a bool.
-    """
-    given = overrides_of(str(node), arguments.parameters).get(USE_SIM_TIME)
-    if given is None:
-        return None
-    word = str(given.value).lower()
-    if word not in _YES + _NO:
-        raise TransportError(f"{given.origin}: expected true or false")
-    return word in _YES
+    overrides = overrides_of(str(full), arguments.parameters)
+    return NodeStart(full, resolver, arguments.has_rosout, overrides)

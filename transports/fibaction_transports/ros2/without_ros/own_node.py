@@ -5,12 +5,13 @@ of its types.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.graph_view import DiscoveryState
+from fibaction_transports.ros2.node.own_parameters import DeclaredParameter
 from fibaction_transports.ros2.node.parts import EndInfo, ServiceCaller, ServiceProvider
 from fibaction_transports.ros2.node.ros_node import RosGraph, RosNode
 from fibaction_transports.ros2.qos import EndQos
@@ -33,7 +34,7 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
     RosoutLog,
 )
 from fibaction_transports.ros2.without_ros.node_start import NodeStart
-from fibaction_transports.ros2.without_ros.parameters import NodeParameters
+from fibaction_transports.ros2.without_ros.parameters import USE_SIM_TIME, NodeParameters
 
 _NEWEST = EndQos(reliability="best_effort", depth=1)
 
@@ -57,7 +58,6 @@ class OwnNode(RosNode):
         super().__init__()
         self.types = types
         self.clock = self._clock = OwnClock()
-        self.parameters = NodeParameters(self._use_simulated_time)
         self.full_name = str(start.name)
         self.namespace = start.name.namespace
         self.in_use = TypeRegistry()
@@ -66,15 +66,20 @@ class OwnNode(RosNode):
         self._resolver = start.resolver
         self._learner = TypeLearner(self, types, questions)
         self._hears_time = False
-        self.parameters.serve(self, self.full_name)
+        self.parameters = NodeParameters(self, start.overrides)
+        self.parameters.serve()
         self._rosout: RosoutLog | None = None
         if start.has_rosout:
             log = self.publisher(self.resolve(ROSOUT), LOG, ROSOUT_QOS)
             self._rosout = RosoutLog(self.full_name, log.publish)
         description = f"{self.full_name}/get_type_description"
         provide(self, description, GET_TYPE_DESCRIPTION, self.in_use.answer)
-        if start.use_sim_time is not None:
-            self.parameters.set_use_sim_time(start.use_sim_time)
+        self.parameters.on_change(self._use_simulated_time)
+        try:
+            self.parameters.declare(DeclaredParameter(name=USE_SIM_TIME, default=False))
+        except ValueError as exc:
+            raise TransportError(str(exc)) from exc
+        self._use_simulated_time({USE_SIM_TIME: self.parameters.value(USE_SIM_TIME)})
 
     def resolve(self, name: str) -> str:
         return self._resolver.resolve(name)
@@ -92,8 +97,10 @@ class OwnNode(RosNode):
             if self._rosout is not None:
                 self._rosout.write(level, line)
 
-    def _use_simulated_time(self, wanted: bool) -> None:
-        self._clock.use_simulated(wanted)
+    def _use_simulated_time(self, changed: Mapping[str, Any]) -> None:
+        wanted = changed.get(USE_SIM_TIME)
+        if wanted is not None:
+            self._clock.use_simulated(wanted)
         if wanted and not self._hears_time:
             self._hears_time = True
             self.subscription(CLOCK_TOPIC, CLOCK, _NEWEST, self._clock.take)

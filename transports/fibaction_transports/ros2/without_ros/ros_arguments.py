@@ -30,6 +30,8 @@ from fibaction.words.extras import MissingExtra, NeedsExtra
 ALL_NODES: Final = "/**"
 MOST_LEVELS = 100
 """Levels of a file of parameters, which nests names of nodes and of parameters."""
+LONGEST_NAME: Final = 247
+"""Characters of a full name of a topic or a service, as ROS counts."""
 _KEY = "ros__parameters"
 _FORM = f"expected the names of nodes, each with {_KEY} and its parameters"
 _NODES = re.compile(r"(/(\*\*?|[A-Za-z_][A-Za-z0-9_]*))+", re.ASCII)
@@ -53,7 +55,7 @@ class Override(NamedTuple):
     """The nodes that it is for: a full name, which may have `*` and `**` in it."""
     name: str
     value: object
-    """Text of YAML; lists and dicts of such values from a file."""
+    """Text of YAML; lists of such texts from a file."""
     origin: str
     """The words that begin an error about it."""
 
@@ -121,9 +123,17 @@ def _overrides(nodes: str, content: Any, what: str) -> Iterator[Override]:
         elif not _NODES.fullmatch(nodes):
             raise ValueError(f"{nodes!r} is not the name of a node: {_FORM}")
         else:
-            for name, given in _mapping(nodes, value).items():
+            for name, given in _flat("", _mapping(nodes, value)):
                 told = f"{name} is {excerpt(str(given))!r} in {what}"
                 yield Override(nodes, name, given, told)
+
+
+def _flat(prefix: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, given in content.items():
+        if isinstance(given, dict):
+            yield from _flat(f"{prefix}{name}.", cast(dict[str, Any], given))
+        else:
+            yield f"{prefix}{name}", given
 
 
 def _mapping(nodes: str, content: Any) -> dict[str, Any]:
@@ -141,6 +151,7 @@ _NODE = ("__node", "__name")
 _NAMESPACE = "__ns"
 _SCHEMES = ("rostopic://", "rosservice://")
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+_UNKNOWN = re.compile(r"\{\w*\}", re.ASCII)
 _SUBSTITUTION = re.compile(r"\{(node|ns|namespace)\}")
 
 
@@ -266,9 +277,14 @@ class NameResolver:
             full = f"{base}/{self._node.name}{full[1:]}"
         elif not full.startswith("/"):
             full = f"{base}/{full}"
+        wrong = f"{excerpt(name)!r} is not a valid name in ROS:"
+        if unknown := _UNKNOWN.search(full):
+            raise TransportError(f"{wrong} {unknown[0]} is not {{node}}, {{ns}} or {{namespace}}")
         if not all(map(_TOKEN.fullmatch, full[1:].split("/"))):
             raise TransportError(
-                f"{name!r} is not a valid name in ROS: it has names of letters, digits and _"
-                " between slashes, none of which begins with a digit"
+                f"{wrong} it has names of letters, digits and _ between slashes, none of which"
+                " begins with a digit; ~ for the name of the node comes first, before a slash"
             )
+        if len(full) > LONGEST_NAME:
+            raise TransportError(f"{wrong} it has {len(full)} characters of {LONGEST_NAME} at most")
         return full
