@@ -1,10 +1,9 @@
 """A robot without ROS: an action that drives it by ROS's topics, a transform and a service.
 
-    pip install "fibaction[cli,ros-types]"
+It needs `pip install "fibaction[cli,ros-types]"`; at `ros2://drive_base` it goes through rclpy.
+
     python drive_base.py dds://drive_base tcp://127.0.0.1:7400
     fibaction -u tcp://127.0.0.1:7400 send_goal drive "meters: 2.0"
-
-At `ros2://drive_base` the same executor uses an installed ROS, at `zenoh:///drive_base` Zenoh.
 """
 
 import sys
@@ -17,6 +16,8 @@ from fibaction_transports.ros2 import Node, open_node
 
 
 class Base:
+    """A robot with wheels."""
+
     def __init__(self, node: Node) -> None:
         self.node = node
         self.velocity = node.publisher("cmd_vel", "geometry_msgs/msg/Twist")
