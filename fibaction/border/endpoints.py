@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from types import TracebackType
 from typing import Any, Protocol, final, runtime_checkable
 
@@ -19,7 +19,7 @@ from fibaction.border.streams import GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
 from fibaction.words.action_error import ActionError
 from fibaction.words.errors import UnknownGoal
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -199,6 +199,14 @@ class Endpoint(ABC):
         """
         return []
 
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        """Call `take` with all goals of the history that are wanted, in parts and in any order.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+        await read_pages(self.past_goals, wanted, take)
+
     @abstractmethod
     async def wait_for_server(self) -> None:
         """Wait until this action is served, without a timeout.
@@ -315,6 +323,12 @@ class ForwardingEndpoint(Endpoint):
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         return await self.inner.past_goals(page)
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        if type(self).past_goals is ForwardingEndpoint.past_goals:
+            await self.inner.read_past(wanted, take)
+        else:  # it has a history of its own
+            await super().read_past(wanted, take)
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()

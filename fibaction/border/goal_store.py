@@ -37,7 +37,7 @@ import msgspec
 
 from fibaction._runtime.text import LENGTH, shortened
 from fibaction.words.errors import StoreError
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Sender, child_id
 from fibaction.words.meta import labels_in, meta_after_end, parent_in
 from fibaction.words.statuses import GoalStatus
@@ -240,6 +240,14 @@ class PastSource:
             StoreError: They cannot be read.
         """
         return []
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        """Call `take` with all of them that are wanted, in parts and in any order.
+
+        Raises:
+            StoreError: They cannot be read.
+        """
+        await read_pages(self.past_goals, wanted, take)
 
     async def past_goal(self, goal_id: GoalID) -> StoredGoal | None:
         """Return one of them with its request and its result; None if it is not there.

@@ -41,6 +41,7 @@ GROUPS = {
         "goals": ("list_goals", "goals_command", "List goals and their statuses."),
         "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
         "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
+        "stats": ("stats", "stats_command", "Count goals, failures, and how long they take."),
     },
     "Find and describe actions": {
         "list": ("list", "list_command", "List the actions that are served."),

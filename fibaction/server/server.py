@@ -17,7 +17,7 @@ A store that fails cancels the block of `async with`; the error is raised at its
 from __future__ import annotations
 
 import math
-from collections.abc import Coroutine, Iterable, Sized
+from collections.abc import Callable, Coroutine, Iterable, Sized
 from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Any, Generic, Literal, Self, Unpack
@@ -50,7 +50,7 @@ from fibaction.server.settings import ActionServerKeywords, ActionServerSettings
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
 from fibaction.words.meta import checked_meta
 
@@ -342,6 +342,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """See `Endpoint.past_goals`."""
         self._check_running()
         return await self._parts.past.page(page)
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        """See `Endpoint.read_past`."""
+        self._check_running()
+        await self._parts.past.read(wanted, take)
 
     def _check_running(self) -> None:
         if self._phase in ("running", "stopping"):

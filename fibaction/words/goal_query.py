@@ -7,6 +7,7 @@ the address of an HTTP request. The time now is an argument.
 from __future__ import annotations
 
 import re
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from typing import NamedTuple, TypeAlias
@@ -102,6 +103,20 @@ class PastPage(NamedTuple):
             return True
         place = (info.stamp, bytes(info.goal_id))
         return place < self.after if self.newest_first else place > self.after
+
+
+async def read_pages(
+    past_goals: Callable[[PastPage], Awaitable[list[GoalInfo]]],
+    wanted: GoalQuery,
+    take: Callable[[list[GoalInfo]], None],
+) -> None:
+    """Call `take` with each page of a history, from the newest acceptance to the oldest."""
+    page = PastPage(wanted)
+    while infos := await past_goals(page):
+        take(infos)
+        if len(infos) < MOST_PAST:
+            return
+        page = page._replace(after=(infos[-1].stamp, bytes(infos[-1].goal_id)))
 
 
 def label_of(text: str) -> tuple[str, str]:

@@ -31,7 +31,7 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
     UNKNOWN_SENDER,
@@ -432,6 +432,9 @@ async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_th
     assert await inner.past_goals(PastPage()) == []
     wrapper = ForwardingEndpoint(Old(inner.stream))
     assert [info.stamp for info in await wrapper.past_goals(PastPage(limit=5))] == [5]
+    read: list[GoalInfo] = []
+    await wrapper.read_past(GoalQuery(), read.extend)
+    assert len(read) == 1
 
 
 def test_a_transport_serves_actions_under_their_own_names() -> None:

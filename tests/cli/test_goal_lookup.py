@@ -15,7 +15,6 @@ from fibaction import (
     ServerNotFound,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint
-from fibaction.cli.arguments import goal_lookup
 from fibaction.cli.arguments.goal_lookup import (
     ActionClients,
     GoalChoice,
@@ -26,6 +25,7 @@ from fibaction.cli.arguments.goal_lookup import (
 )
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.words import goal_query
 from fibaction.words.goal_query import GoalQuery, PastPage
 from tests.cli.served import Altered, Served, counter
 
@@ -179,7 +179,7 @@ class Past(ForwardingEndpoint):
 async def test_goals_of_the_past_are_listed_beside_those_that_are_remembered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(goal_lookup, "MOST_PAST", 2)
+    monkeypatch.setattr(goal_query, "MOST_PAST", 2)
     past = [
         GoalInfo(GoalID(bytes([number] * 16)), number, GoalStatus.SUCCEEDED)
         for number in (4, 3, 2, 1)

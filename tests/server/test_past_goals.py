@@ -20,6 +20,7 @@ from fibaction import (
     GoalHandle,
     GoalHistory,
     GoalID,
+    GoalInfo,
     GoalStatus,
     LimitReached,
     ServerFailed,
@@ -104,6 +105,9 @@ async def test_the_endpoints_of_a_server_have_its_history(tmp_path: Path) -> Non
         async with connect("inproc://past", PAINT) as client:
             for endpoint in (client.endpoint, ForwardingEndpoint(server)):
                 assert await endpoint.past_goals(PastPage()) == infos
+                read: list[GoalInfo] = []
+                await endpoint.read_past(GoalQuery(), read.extend)
+                assert read == infos
 
 
 async def test_goals_of_the_past_are_read_as_far_as_there_is_room_for_their_bytes(
@@ -142,11 +146,13 @@ async def test_a_history_that_cannot_be_read_is_told_and_logged(
             with pytest.raises(ServerFailed, match=r"^the server cannot read the history"):
                 await server.past_goals(PastPage())
             with pytest.raises(ServerFailed, match=r"^the server cannot read the history"):
+                await server.read_past(GoalQuery(), print)
+            with pytest.raises(ServerFailed, match=r"^the server cannot read the history"):
                 await server.feedback(GoalID.random())
         assert await ran(ActionClient(server, PAINT), 1)
     assert [record.message.split(": ")[1] for record in caplog.records] == [
         "cannot keep goals in a secret place"
-    ] * 2
+    ] * 3
 
 
 async def test_goals_of_the_history_are_found_by_their_labels(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import uuid
-from collections.abc import AsyncGenerator, Coroutine
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, Unpack
 from urllib.parse import SplitResult
@@ -36,7 +36,7 @@ from fibaction.words.errors import (
     TransportError,
     copy_of,
 )
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, GoalInfo, Sender
 
 if TYPE_CHECKING:
@@ -214,6 +214,9 @@ class _NamedEndpoint(Endpoint):
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         return await self._server.past_goals(page)
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        await self._server.read_past(wanted, take)
 
     async def wait_for_server(self) -> None:
         name, place = self._info.name, self._connection.place

@@ -18,7 +18,7 @@ from fibaction.cli.process.exit_codes import Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
-from fibaction.words.goal_query import ANY_GOAL, MOST_PAST, STATUSES, GoalQuery, Labels, PastPage
+from fibaction.words.goal_query import ANY_GOAL, STATUSES, GoalQuery, Labels
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
@@ -229,11 +229,8 @@ async def with_past(
 
 
 async def _past_of(client: AnyClient, wanted: GoalQuery) -> list[GoalInfo]:
-    infos = part = await client.endpoint.past_goals(PastPage(wanted))
-    while len(part) == MOST_PAST:
-        after = part[-1].stamp, part[-1].goal_id
-        part = await client.endpoint.past_goals(PastPage(wanted, after=after))
-        infos = infos + part
+    infos: list[GoalInfo] = []
+    await client.endpoint.read_past(wanted, infos.extend)
     return infos
 
 

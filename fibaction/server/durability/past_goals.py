@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 
 from fibaction._runtime.log import clean_logger
@@ -12,7 +13,7 @@ from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.server.durability.keeper import Keeper
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.words.errors import LimitReached, ServerFailed, StoreError, UnknownGoal
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
 
 HISTORY_FAILED = "the server cannot read the history of its goals"
@@ -38,6 +39,17 @@ class PastGoals:
         """
         try:
             return await self._keeper.past.past_goals(page)
+        except StoreError as exc:
+            raise self._failure(exc) from exc
+
+    async def read(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        """See `Endpoint.read_past`.
+
+        Raises:
+            ServerFailed: The history cannot be read.
+        """
+        try:
+            await self._keeper.past.read_past(wanted, take)
         except StoreError as exc:
             raise self._failure(exc) from exc
 

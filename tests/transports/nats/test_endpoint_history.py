@@ -7,7 +7,7 @@ import pytest
 from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, ServerNotFound
 from fibaction.border.abc import Endpoint, ForwardingEndpoint
 from fibaction.border.goal_store import StoredGoal
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from fibaction_transports.nats.records import encode
 from tests.support.virtual_time import in_virtual_time
@@ -100,6 +100,9 @@ async def test_pages_have_the_goals_of_gateways_as_well(fleet: FakeFleet) -> Non
         endpoint = connection.endpoint(COUNT)
         found = await endpoint.past_goals(PastPage())
         oldest = await endpoint.past_goals(PastPage(limit=2, newest_first=False))
+        read: list[GoalInfo] = []
+        await endpoint.read_past(GoalQuery(since=2), read.extend)
+    assert sorted(info.stamp for info in read) == [2, 3, 4]
     assert [info.stamp for info in found] == [4, 3, 2, 1]
     assert [info.stamp for info in oldest] == [1, 2]
 

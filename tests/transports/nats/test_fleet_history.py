@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import GoalID, GoalStatus, StoreError
+from fibaction import GoalID, GoalInfo, GoalStatus, StoreError
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -254,6 +254,9 @@ async def test_a_page_has_each_goal_once_though_the_watch_begins_again(
 
         monkeypatch.setattr(broker, "watch", twice)
         assert stamps(await past.past_goals(PastPage())) == [2, 1]
+        read: list[GoalInfo] = []
+        await past.read_past(GoalQuery(), read.extend)
+        assert sorted(info.stamp for info in read) == [1, 2]
 
 
 async def test_of_a_goal_that_ran_twice_the_newest_run_is_found() -> None:

@@ -42,6 +42,7 @@ from __future__ import annotations
 import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias, TypeVar
 
 import anyio
@@ -61,7 +62,7 @@ from fibaction.words.errors import (
     StoreError,
     UnknownGoal,
 )
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.meta import size_of
 from fibaction.words.statuses import GoalStatus
@@ -307,6 +308,13 @@ class FleetEndpoint(Endpoint):
         parts.append(await self._in_history(self._history.past_goals(page)))
         found = {(info.stamp, bytes(info.goal_id)): info for part in parts for info in part}
         return list(first_of(found, page).values())
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        await self._parts.workers.ready()
+        for lease in self._parts.workers.serving(self._info.name, is_kept=False):
+            calls = self._parts.connections.calls_of(lease.worker)
+            await read_pages(partial(calls.past_goals, self._info.name), wanted, take)
+        await self._in_history(self._history.read_past(wanted, take))
 
     async def _in_history(self, reading: Awaitable[T]) -> T:
         try:

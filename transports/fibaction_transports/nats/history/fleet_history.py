@@ -17,7 +17,7 @@ accepted.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from heapq import nlargest, nsmallest
 
 import anyio
@@ -26,7 +26,7 @@ from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import PastSource, StoredGoal
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ProtocolError, StoreError
-from fibaction.words.goal_query import MOST_PAST, PastPage, Place
+from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.names import FleetNames
@@ -53,8 +53,30 @@ class FleetHistory(PastSource):
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         """See `PastSource.past_goals`."""
         limit = min(page.limit, MOST_PAST)
-        since = page.wanted.since
         found: dict[Place, GoalInfo] = {}  # a record may come again
+
+        def take(infos: list[GoalInfo]) -> None:
+            nonlocal found
+            found |= {(info.stamp, bytes(info.goal_id)): info for info in infos if page.has(info)}
+            if len(found) > HELD * limit:
+                found = first_of(found, page)
+
+        await self._read(page.wanted, take)
+        return list(first_of(found, page).values())
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        """See `PastSource.read_past`: each page would read all records, so all are read once."""
+        known: set[Place] = set()
+
+        def take_new(infos: list[GoalInfo]) -> None:
+            places = {(info.stamp, bytes(info.goal_id)): info for info in infos}
+            take([info for place, info in places.items() if place not in known])
+            known.update(places)
+
+        await self._read(wanted, take_new)
+
+    async def _read(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        since = wanted.since
         slices = Slices()
         try:
             async with self._broker.watch(
@@ -63,16 +85,15 @@ class FleetHistory(PastSource):
                 heads_since=0 if since is None else max(0, min(since, time.time_ns()) - SKEW),
             ) as watch:
                 while (records := await _next(watch)) is not None:
+                    infos: list[GoalInfo] = []
                     for record in records:
                         goal = _goal_in(record)
-                        if goal is not None and page.has(goal.info):
-                            found[goal.stamp, bytes(goal.goal_id)] = goal.info
+                        if goal is not None and wanted.has(goal.info):
+                            infos.append(goal.info)
                         await slices.pause()
-                    if len(found) > HELD * limit:
-                        found = first_of(found, page)
+                    take(infos)
         except BrokerAway as exc:
             raise StoreError(f"the history of the fleet cannot be read: {exc}") from exc
-        return list(first_of(found, page).values())
 
     async def past_goal(self, goal_id: GoalID) -> StoredGoal | None:
         """See `PastSource.past_goal`."""

@@ -58,6 +58,7 @@ from fibaction_transports.web.rest.goal_list import (
     past_of,
     refusing,
 )
+from fibaction_transports.web.rest.known_statistics import ONE_DAY, KnownStatistics
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import (
     FILTERS,
@@ -85,12 +86,14 @@ class RestInterface:
         self._memory = server.memory
         self._turn = server.turn
         self._codecs: dict[str, tuple[ActionInfo, GoalCodec]] = {}
+        self._statistics = KnownStatistics()
         self._secret = secrets.token_bytes()  # of the keys of goals
         self._has_tokens = server.settings.access.asks_for_tokens
         self._handlers = {
             (Resource.DESCRIPTION, "GET"): self._describe,
             (Resource.ACTIONS, "GET"): self._list_actions,
             (Resource.ACTION, "GET"): self._get_action,
+            (Resource.STATISTICS, "GET"): self._tell_statistics,
             (Resource.GOALS, "GET"): self._list_goals,
             (Resource.GOALS, "POST"): self._send_goal,
             (Resource.GOALS, "DELETE"): self._cancel_goals,
@@ -177,6 +180,13 @@ class RestInterface:
     async def _get_action(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
         await exchange.answer(200, msgspec.json.encode(_described(endpoint)))
+
+    async def _tell_statistics(
+        self, exchange: Exchange, client: SessionClient, route: Route
+    ) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        told = await self._statistics.of(endpoint, exchange.parameter("since") or ONE_DAY)
+        await exchange.answer(200, told)
 
     # Goals
 

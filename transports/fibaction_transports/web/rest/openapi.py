@@ -9,13 +9,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from fibaction.feeds.statistics import ActionStatistics
 from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_TEXT
 from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
-from fibaction_transports.web.rest.openapi_schemas import SHARED, Names, example_of, moved
+from fibaction_transports.web.rest.openapi_schemas import (
+    SHARED,
+    Names,
+    example_of,
+    moved,
+    of_structs,
+)
 
 Json = dict[str, Any]
 
@@ -163,6 +170,9 @@ _SINCE, _UNTIL = (
     )
     for name, when in (("since", "later"), ("until", "earlier"))
 )
+_STATISTICS_SINCE = _parameter(
+    "since", "The begin of the longer span, one day ago without it; otherwise as for goals.", _TIME
+)
 _CANCEL_TIME = {"type": "string", "anyOf": [{"format": "date-time"}, {"pattern": CANCEL_TEXT}]}
 _BEFORE = _UNTIL | {"name": "before", "schema": _CANCEL_TIME}
 _PAST = _parameter(
@@ -187,6 +197,8 @@ _AFTER = _parameter(
 
 _DESCRIPTIONS = {
     "describe": "The action, with the JSON Schemas of its messages.",
+    "stats": "How many goals were accepted and ended, why some failed, and how long they waited"
+    " and ran: in the last ten minutes, and since a time. An answer may be some seconds old.",
     "list": "The goals that the server remembers, all or those that you choose. With `limit` they"
     " come in pages.",
     "send": "The answer comes at once, or with `wait` at the end of the goal. If you accept"
@@ -212,7 +224,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         "responses": {"200": _answer("The actions.", listed)} | _PROBLEMS,
     }
     paths: Json = {"/actions": {"get": all_actions}}
-    schemas = dict(_SHARED_SCHEMAS)
+    schemas = _SHARED_SCHEMAS | of_structs(ActionStatistics)
     schema_names, operations = Names(*schemas), Names("list_actions")
     for info in infos:
         _Described(info, schemas, schema_names, operations).add(paths)
@@ -282,12 +294,17 @@ class _Described:
         answer = {"200": _answer("The action.", _ref("Action"))}
         described = self._operation("describe", "Describe the action.", answer)
         paths.setdefault(base, {"get": described})  # a list of goals at this address goes first
+        paths[f"{base}/stats"] = {"get": self._statistics()}
         paths[f"{base}/goals"] = self._goals()
         paths[f"{base}/goals/{{goal_id}}"] = self._one_goal()
         events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
         paths[f"{base}/goals/{{goal_id}}/events"] = {
             "get": self._operation("events", "Follow a goal.", events, _GOAL_ID, _AFTER)
         }
+
+    def _statistics(self) -> Json:
+        told = {"200": _answer("The statistics.", _ref("ActionStatistics"))}
+        return self._operation("stats", "Tell the statistics.", told, _STATISTICS_SINCE)
 
     def _goals(self) -> Json:
         goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}

@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 from urllib.parse import unquote
 
+import msgspec
+
 from fibaction.schema.template import Template
 from fibaction.words.plain_data import is_list, is_map
 
@@ -50,6 +52,14 @@ _BY_NAME = frozenset({"$defs", "dependentSchemas", "patternProperties", "propert
 _COMBINED = frozenset({"allOf", "dependentSchemas", "if", "not", "patternProperties"})
 _CHOICES = frozenset({"$ref", "anyOf", "oneOf"})
 _LOCAL = "#/$defs/"
+
+
+def of_structs(*kinds: type[msgspec.Struct]) -> Json:
+    """Return the schemas of structs of our own, by their names."""
+    _, schemas = msgspec.json.schema_components(kinds, ref_template=SHARED + "{name}")
+    for schema in schemas.values():
+        del schema["title"]
+    return schemas
 
 
 class Names:

@@ -25,6 +25,7 @@ class Resource(Enum):
     DESCRIPTION = auto()
     ACTIONS = auto()
     ACTION = auto()
+    STATISTICS = auto()
     GOALS = auto()
     GOAL = auto()
     EVENTS = auto()
@@ -34,6 +35,7 @@ METHODS = {
     Resource.DESCRIPTION: ("GET",),
     Resource.ACTIONS: ("GET",),
     Resource.ACTION: ("GET",),
+    Resource.STATISTICS: ("GET",),
     Resource.GOALS: ("GET", "POST", "DELETE"),
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
@@ -45,6 +47,7 @@ FILTERS = ("status", "client", "label", "since", "until", "parent")
 """The parameters that choose goals."""
 
 PARAMETERS = {
+    (Resource.STATISTICS, "GET"): ("since",),
     (Resource.GOALS, "GET"): (*FILTERS, "past", "limit", "after"),
     (Resource.GOALS, "POST"): ("wait", "label"),
     (Resource.GOALS, "DELETE"): (*FILTERS, "before"),
@@ -69,6 +72,7 @@ _PATHS = {
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/events"): Resource.EVENTS,
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)"): Resource.GOAL,
     re.compile(r"/actions/(?P<action>.+)/goals"): Resource.GOALS,
+    re.compile(r"/actions/(?P<action>.+)/stats"): Resource.STATISTICS,
     re.compile(r"/actions/(?P<action>.+)"): Resource.ACTION,
 }
 """The ways to read the path of an action, the longest address below it first."""
