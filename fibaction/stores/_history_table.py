@@ -234,7 +234,7 @@ def _wanted_past(wanted: GoalQuery, db: sqlite3.Connection) -> dict[str, list[St
         return found
     for number, action, whole in db.execute("select n, action, whole from history order by n"):
         goal = _goal_in(number, whole)
-        if goal is not None and wanted.has(goal.info):
+        if goal is not None and wanted.at(action).has(goal.info):
             goal.goal = b""  # it may be large, and there may be many
             found.setdefault(action, []).append(goal)
     return found

@@ -10,7 +10,7 @@ import re
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from fibaction._runtime.text import excerpt
 from fibaction.words.goals import GoalInfo
@@ -38,6 +38,9 @@ Labels: TypeAlias = tuple[tuple[str, str], ...]
 CANCEL_TEXT = TIME_TEXT.replace("[0-9]{16,19}", "[0-9]{0,18}[1-9][0-9]*")
 """The same for a cancel, which takes any stamp but 0."""
 
+MAX_WORDS = 16
+"""Words of one search, at most; the others do not count."""
+
 LAST_STAMP = 2**63 - 1
 """The largest stamp."""
 
@@ -60,6 +63,8 @@ class GoalQuery(NamedTuple):
     """The latest time of their acceptance: nanoseconds since 1970; None for any."""
     labels: Labels = ()
     """Keys and values of labels that they have, each of these; empty for any labels."""
+    words: tuple[str, ...] = ()
+    """Words in lower case that `text_of` each of them has, each of these; empty for any text."""
 
     def has(self, info: GoalInfo) -> bool:
         """Return whether a goal is wanted."""
@@ -69,7 +74,13 @@ class GoalQuery(NamedTuple):
             and (self.until is None or info.stamp <= self.until)
             and self.client in info.client
             and all(info.labels.get(key) == value for key, value in self.labels)
+            and (not self.words or _has_words(text_of(info), self.words))
         )
+
+    def at(self, action: str) -> GoalQuery:
+        """Return the query for the goals of one action, whose name may have some of the words."""
+        name = action.lower()
+        return self._replace(words=tuple(word for word in self.words if word not in name))
 
 
 ANY_GOAL = GoalQuery()
@@ -117,6 +128,46 @@ async def read_pages(
         if len(infos) < MOST_PAST:
             return
         page = page._replace(after=(infos[-1].stamp, bytes(infos[-1].goal_id)))
+
+
+SORTS: dict[str, Callable[[GoalInfo], Any]] = {
+    "accepted": lambda info: info.stamp,
+    "began": lambda info: info.began_at,
+    "ended": lambda info: info.ended_at,
+    "waited": lambda info: info.waited,
+    "ran": lambda info: info.ran,
+    "status": lambda info: info.status,
+    "client": lambda info: info.client,
+    "worker": lambda info: info.worker,
+}
+"""The keys by which a list can be sorted; a key is None if it is not known of a goal."""
+
+
+def sort_key(sort: str, info: GoalInfo) -> tuple[bool, Any, int, bytes]:
+    """Return the place of a goal in a list that is sorted so. Goals whose key is not known come
+    first, and those with the same key are in the order of their acceptance.
+    """
+    key = SORTS[sort](info)
+    return key is not None, key, info.stamp, bytes(info.goal_id)
+
+
+def words_of(text: str) -> tuple[str, ...]:
+    """Return the words of a search as `GoalQuery` has them."""
+    return tuple(dict.fromkeys(text.lower().split()))[:MAX_WORDS]
+
+
+def text_of(info: GoalInfo) -> str:
+    """Return the text of a goal in which a search looks, in lower case: all that a list tells of it
+    but its times and numbers.
+    """
+    labels = [f"{key}={value}" for key, value in info.labels.items()]
+    parent = () if info.parent is None else (str(info.parent.goal_id), info.parent.step)
+    parts = (str(info.goal_id), info.status.name, info.client, info.worker, info.reason)
+    return "\n".join((*parts, *labels, *parent)).lower()
+
+
+def _has_words(text: str, words: tuple[str, ...]) -> bool:
+    return all(word in text for word in words)
 
 
 def label_of(text: str) -> tuple[str, str]:

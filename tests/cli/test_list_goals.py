@@ -92,6 +92,19 @@ def test_goals_lists_those_of_a_status(here: Run, url: str) -> None:
     assert none.err == "There are no canceling or aborted goals of /fibonacci.\n"
 
 
+def test_goals_are_searched_by_words_and_sorted_by_their_action(here: Run, url: str) -> None:
+    def found(words: str, *more: str) -> list[str]:
+        listed = here("goals", "--search", words, *more, "--json", url=url).json
+        return [goal["goal_id"] for goal in listed]
+
+    count = detached(here, url, "fibonacci", "order: 3")
+    pick = detached(here, url, "arm/pick", "object_name: cup")
+    assert found(f"PICK {pick[:12].upper()}") == [pick]
+    assert found(f"pick {count}") == []
+    ids = [one for one in found("succeeded", "--sort", "action") if one in (pick, count)]
+    assert ids == [pick, count]
+
+
 def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, url: str) -> None:
     early = detached(here, url, "fibonacci", "order: 1")
     late = detached(here, url, "arm/pick", "object_name: cup")

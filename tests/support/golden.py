@@ -92,7 +92,7 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     ),
     (
         WatchStatus(4, "fibonacci", 64),
-        "961404a96669626f6e6163636940c0c0",
+        "971404a96669626f6e6163636940c0c0c0",
     ),
     (
         AwaitServer(5, "fibonacci"),

@@ -37,6 +37,7 @@ from fibaction.wire.messages import (
     past_fields,
     past_from,
     told_labels,
+    word_fields,
 )
 from fibaction.words.errors import ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -279,6 +280,7 @@ NULLABLE = {
     (GoalChanged, "labels"),
     (WatchStatus, "past"),
     (WatchStatus, "labels"),
+    (WatchStatus, "words"),
     (GoalChanged, "ended_at"),
 }
 
@@ -518,10 +520,11 @@ def test_a_length_that_is_only_announced_takes_no_memory(start: bytes, announced
             *(7, (6, bytes(15) + b"\1"), False),
         ),
         PastPage(GoalQuery(labels=(("order", "17"), ("site", "")))),
+        PastPage(GoalQuery(words=("gripper", "north"))),
     ],
 )
 def test_a_page_is_asked_for_as_it_was_given(page: PastPage) -> None:
-    assert past_from(past_fields(page), label_fields(page)) == page
+    assert past_from(past_fields(page), label_fields(page), word_fields(page)) == page
 
 
 def test_of_labels_that_no_goal_can_have_all_as_many_are_asked_for_as_a_goal_can_have() -> None:

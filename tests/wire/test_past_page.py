@@ -37,8 +37,10 @@ def past(stamp: int, status: GoalStatus = SUCCEEDED) -> GoalInfo:
     return GoalInfo(GoalID(bytes([stamp] * 16)), stamp, status)
 
 
-def changed(call_id: int, stamp: int, status: GoalStatus = SUCCEEDED) -> GoalChanged:
-    return GoalChanged(call_id, bytes([stamp] * 16), stamp, status, 0)
+def changed(
+    call_id: int, stamp: int, status: GoalStatus = SUCCEEDED, reason: str = ""
+) -> GoalChanged:
+    return GoalChanged(call_id, bytes([stamp] * 16), stamp, status, 0, reason=reason)
 
 
 class Remembering(ForwardingEndpoint):
@@ -168,6 +170,22 @@ async def test_those_who_may_not_observe_see_no_history() -> None:
         asked = WatchStatus(1, "fibonacci", ANY, past_fields(PastPage()))
         assert (await client.ask(asked, Failed)).why == Why.FORBIDDEN
     assert endpoint.asked == []
+
+
+async def test_words_are_asked_for_by_both_ends() -> None:
+    page = PastPage(GoalQuery(words=("gripper",)))
+    async with serving(endpoint := Remembering(past(2))) as served:
+        client = await served.greet()
+        asked = WatchStatus(1, "fibonacci", ANY, past_fields(page), None, ["gripper"])
+        await client.ask(asked, Watching)
+    assert endpoint.asked == [page]
+    async with reached() as (connection, server):
+        async with Running(lambda: endpoint_of(connection).past_goals(page)) as asking:
+            asked = await server.hear(WatchStatus)
+            assert asked.words == ["gripper"]
+            told = (changed(asked.id, 1), changed(asked.id, 2, reason="no gripper"))
+            await server.say(Watching(asked.id, 2), *told, Finished(asked.id))
+            assert [info.stamp for info in await asking.answer()] == [2]
 
 
 async def test_labels_are_asked_for_and_told() -> None:

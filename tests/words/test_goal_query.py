@@ -14,13 +14,18 @@ from msgspec.structs import replace
 from fibaction import GoalID, GoalInfo, GoalStatus
 from fibaction.words.goal_query import (
     LABEL_TEXT,
+    MAX_WORDS,
+    SORTS,
     STATUSES,
     GoalQuery,
     PastPage,
     cancel_stamp_of,
     label_of,
+    sort_key,
     time_of,
+    words_of,
 )
+from fibaction.words.goals import Parent
 
 NOW = 1_800_000_000 * 10**9
 NOON = 1_769_860_800 * 10**9
@@ -62,6 +67,40 @@ def test_both_ends_of_a_span_of_time_are_within_it() -> None:
     span = GoalQuery(since=NOW, until=NOW + 2)
     found = [stamp - NOW for stamp in range(NOW - 1, NOW + 4) if span.has(info(stamp=stamp))]
     assert found == [0, 1, 2]
+
+
+def test_each_word_of_a_search_is_in_the_text_of_a_goal() -> None:
+    parent = Parent(GoalID(bytes(15) + b"\x0b"), "Weld")
+    one = GoalInfo(
+        *(GoalID(b"\xab" * 16), NOW, GoalStatus.ABORTED),
+        client="ann at 10.0.0.7",
+        parent=parent,
+        reason="Gripper OPEN",
+        labels={"order": "17"},
+        worker="cell3",
+    )
+
+    def finds(text: str, action: str = "arm/pick") -> bool:
+        return GoalQuery(words=words_of(text)).at(action).has(one)
+
+    for text in ("abab", "aborted", "ANN", "order=17", "gripper open", "weld", "cell3", "0b", ""):
+        assert finds(text)
+    assert finds("PICK aborted pick")
+    assert not finds("pick drive")
+    assert not finds("open closed")
+    assert len(words_of(" ".join(map(str, range(99))))) == MAX_WORDS
+
+
+def test_a_list_is_sorted_with_what_is_not_known_first_and_then_by_acceptance() -> None:
+    goals = [
+        info(GoalStatus.EXECUTING, 4),
+        replace(info(GoalStatus.SUCCEEDED, 3), began_at=3, ended_at=5),
+        replace(info(GoalStatus.SUCCEEDED, 2), began_at=3, ended_at=9),
+        replace(info(GoalStatus.SUCCEEDED, 1), began_at=3, ended_at=5),
+    ]
+    found = sorted(goals, key=lambda one: sort_key("ran", one))
+    assert [one.stamp for one in found] == [4, 1, 3, 2]
+    assert all(sort_key(name, goals[1]) for name in SORTS)
 
 
 def test_a_page_of_the_past_has_the_goals_that_are_wanted_after_its_place() -> None:

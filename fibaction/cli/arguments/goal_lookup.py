@@ -18,7 +18,15 @@ from fibaction.cli.process.exit_codes import Failure, message_of
 from fibaction.observe.monitor import AnyClient, newest_active_first
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import ActionError
-from fibaction.words.goal_query import ANY_GOAL, STATUSES, GoalQuery, Labels
+from fibaction.words.goal_query import (
+    ANY_GOAL,
+    SORTS,
+    STATUSES,
+    GoalQuery,
+    Labels,
+    sort_key,
+    words_of,
+)
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
@@ -29,17 +37,8 @@ LIMIT = 100
 STATUS_WORDS = {word.lower(): statuses for word, statuses in STATUSES.items()}
 """The statuses that each word of `--status` means."""
 
-SORTS: dict[str, Callable[[GoalRow], Any]] = {
-    "accepted": lambda row: row.info.stamp,
-    "began": lambda row: row.info.began_at,
-    "ended": lambda row: row.info.ended_at,
-    "waited": lambda row: row.info.waited,
-    "ran": lambda row: row.info.ran,
-    "status": lambda row: row.info.status,
-    "action": lambda row: shown(row.action),
-    "client": lambda row: row.info.client,
-}
-"""The keys by which a list can be sorted; a key is None if it is not known of a goal."""
+BY_ACTION = "action"
+"""The order of a list by the names of the actions, which goes with those of `SORTS`."""
 
 
 class GoalChoice(NamedTuple):
@@ -51,7 +50,7 @@ class GoalChoice(NamedTuple):
     limit: int = 0
     """The most goals; 0 for any number."""
     sort: str = ""
-    """The name of their order in `SORTS`; empty for that of their acceptance."""
+    """The name of their order in `SORTS`, or `BY_ACTION`; empty for that of their acceptance."""
     past: bool = False
     """True for the goals in the histories of the servers as well."""
 
@@ -69,17 +68,17 @@ class GoalChoice(NamedTuple):
         and the newest ones; else it leaves the last ones. Goals whose key is not known come
         first.
         """
-        found = [row for row in rows if self.wanted.has(row.info)]
+        found = [row for row in rows if self.wanted.at(row.action).has(row.info)]
         left_out = max(len(found) - self.limit, 0) if self.limit else 0
         if self.sort:
-            key = SORTS[self.sort]
-            unknown = [row for row in found if key(row) is None]
-            known = sorted((row for row in found if key(row) is not None), key=key)
-            return [*unknown, *known][left_out:], left_out
+            return sorted(found, key=self._key)[left_out:], left_out
         if left_out:
             found = sorted(found, key=lambda row: newest_active_first(row.info))[: self.limit]
             found.sort(key=lambda row: row.info.stamp)
         return found, left_out
+
+    def _key(self, row: GoalRow) -> Any:
+        return shown(row.action) if self.sort == BY_ACTION else sort_key(self.sort, row.info)
 
 
 DEFAULT = GoalChoice(limit=LIMIT)
@@ -103,8 +102,15 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
     @click.option("--since", type=TimeType(), help="List the goals accepted at that time or later.")
     @click.option("--until", type=TimeType(), help="List those accepted at that time or earlier.")
     @click.option(
+        "--search",
+        metavar="WORDS",
+        default="",
+        help="List the goals that have each of these words in their action, ID, status, client,"
+        " worker, reason, labels or parent.",
+    )
+    @click.option(
         "--sort",
-        type=click.Choice(tuple(SORTS)),
+        type=click.Choice((*SORTS, BY_ACTION)),
         help="Sort in ascending order by this property.",
     )
     @click.option(
@@ -135,7 +141,7 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
         if since is not None and until is not None and since > until:
             raise Failure("--since is later than --until: no goal is between them")
         statuses = frozenset[GoalStatus]().union(*(STATUS_WORDS[word] for word in words))
-        wanted = GoalQuery(statuses, client, since, until, labels)
+        wanted = GoalQuery(statuses, client, since, until, labels, words_of(others.pop("search")))
         function(choice=GoalChoice(words, wanted, limit, sort or "", past), **others)
 
     return choosing
@@ -222,7 +228,7 @@ async def with_past(
     found = {
         (name, info.stamp, info.goal_id): GoalRow(name, info)
         for name, client in clients.items()
-        for info in await _past_of(client, wanted)
+        for info in await _past_of(client, wanted.at(name))
     }
     found |= {(row.action, row.info.stamp, row.info.goal_id): row for row in rows}
     return sorted(found.values(), key=lambda row: row.info.stamp)

@@ -50,6 +50,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     label_fields,
     past_fields,
+    word_fields,
 )
 from fibaction.words.errors import ActionError, InvalidMessage, copy_of
 from fibaction.words.goal_query import MOST_PAST, PastPage
@@ -73,7 +74,8 @@ class PastCall(Call):
         super().__init__(call_id)
         self._page = page
         limit = min(page.limit, MOST_PAST)
-        self._opening = WatchStatus(call_id, action, limit, past_fields(page), label_fields(page))
+        fields = past_fields(page), label_fields(page), word_fields(page)
+        self._opening = WatchStatus(call_id, action, limit, *fields)
         self._left: int | None = None  # goals that are still to come; None before the answer
         self._infos: list[GoalInfo] = []
 

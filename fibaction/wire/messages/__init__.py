@@ -24,6 +24,7 @@ from fibaction.wire.messages.fields import (
     past_fields,
     past_from,
     told_labels,
+    word_fields,
 )
 from fibaction.wire.messages.from_client import (
     AskPeers,
@@ -107,4 +108,5 @@ __all__ = [
     "past_fields",
     "past_from",
     "told_labels",
+    "word_fields",
 ]

@@ -7,7 +7,7 @@ from typing import Annotated, TypeAlias, final
 import msgspec
 
 from fibaction._runtime.text import shortened
-from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage
+from fibaction.words.goal_query import MAX_WORDS, MOST_PAST, GoalQuery, PastPage
 from fibaction.words.goals import GoalID, Parent
 from fibaction.words.meta import LONGEST_STEP, MAX_KEYS, Meta, fitting
 from fibaction.words.statuses import GoalStatus
@@ -44,6 +44,9 @@ whether the newest goals come first."""
 
 LabelFields: TypeAlias = Annotated[list[tuple[str, str]], msgspec.Meta(max_length=MAX_KEYS)]
 """Keys and values of labels that goals are to have."""
+
+WordFields: TypeAlias = Annotated[list[str], msgspec.Meta(max_length=MAX_WORDS)]
+"""Words that the texts of goals are to have."""
 
 
 class WireMessage(msgspec.Struct, array_like=True, gc=False):
@@ -106,10 +109,19 @@ def label_fields(page: PastPage) -> LabelFields | None:
     return list(dict.fromkeys(page.wanted.labels))[:MAX_KEYS] or None
 
 
-def past_from(fields: PastFields, labels: LabelFields | None = None) -> PastPage:
+def word_fields(page: PastPage) -> WordFields | None:
+    """Return the words of the goals on a page as the field of a message; None if there are none."""
+    return list(page.wanted.words[:MAX_WORDS]) or None
+
+
+def past_from(
+    fields: PastFields, labels: LabelFields | None = None, words: WordFields | None = None
+) -> PastPage:
     """Return the page of a history that the fields of a message ask for."""
     statuses, client, since, until, limit, after, newest_first = fields
-    wanted = GoalQuery(frozenset(statuses), client, since, until, tuple(labels or ()))
+    wanted = GoalQuery(
+        frozenset(statuses), client, since, until, tuple(labels or ()), tuple(words or ())
+    )
     return PastPage(wanted, limit, after, newest_first)
 
 

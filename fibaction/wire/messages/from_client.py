@@ -19,6 +19,7 @@ from fibaction.wire.messages.fields import (
     Stamp,
     Timeout,
     WireMessage,
+    WordFields,
 )
 
 
@@ -114,6 +115,10 @@ class WatchStatus(WireMessage, tag=20):
     labels: LabelFields | None = None
     """Keys and values of labels that each goal of the page has; nil for any labels. It
     does not apply to the statuses."""
+    words: WordFields | None = None
+    """Words in lower case that the text of each goal of the page has, which is its ID, status,
+    client, worker, reason, labels and parent; nil for any text. It does not apply to the
+    statuses."""
 
 
 @final

@@ -159,7 +159,9 @@ class RequestHandlers:
             return
         endpoint = await self._find(message.action, Permission.OBSERVE)
         async with self._listing:
-            infos = await endpoint.past_goals(past_from(message.past, message.labels))
+            infos = await endpoint.past_goals(
+                past_from(message.past, message.labels, message.words)
+            )
             await self._say(Watching(message.id, len(infos)))
             slices = Slices()
             for info in infos:

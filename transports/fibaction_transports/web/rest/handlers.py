@@ -26,7 +26,7 @@ import msgspec
 
 from fibaction.border.abc import Endpoint, cancel_each
 from fibaction.border.http_access import Refused, bearer_in
-from fibaction.border.peer_text import clean_logger
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.border.streams import GoalStream
 from fibaction.schema.payload import GoalCodec, JsonCodec
 from fibaction.schema.turns import Pause, in_turn, read_json
@@ -58,6 +58,7 @@ from fibaction_transports.web.rest.goal_list import (
     past_of,
     refusing,
 )
+from fibaction_transports.web.rest.goal_search import found_by, search_of
 from fibaction_transports.web.rest.known_statistics import ONE_DAY, KnownStatistics
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import (
@@ -101,6 +102,7 @@ class RestInterface:
             (Resource.GOAL, "PUT"): self._send_goal,
             (Resource.GOAL, "DELETE"): self._cancel_goal,
             (Resource.EVENTS, "GET"): self._follow_goal,
+            (Resource.SEARCH, "GET"): self._search_goals,
         }
 
     async def handle(self, exchange: Exchange) -> None:
@@ -199,6 +201,19 @@ class RestInterface:
             body, cursor = await listed(statuses, page, self._turn, past)
         next_page = ("Link", f'<{page.next_query(cursor)}>; rel="next"')
         await exchange.answer(200, body, *([next_page] if cursor else ()))
+
+    async def _search_goals(self, exchange: Exchange, client: SessionClient, _route: Route) -> None:
+        search = search_of(exchange.query, time_ns())
+        if unknown := search.actions - self._endpoints.keys():
+            raise Refused(404, f"there is no action {excerpt(min(unknown))!r}")
+        endpoints: list[Endpoint] = []
+        for name in search.actions or list(self._endpoints):
+            try:
+                endpoints.append(await client.endpoint(name, Permission.OBSERVE))
+            except AuthenticationFailed:
+                if search.actions:
+                    raise
+        await exchange.answer(200, await found_by(search.goals, endpoints))
 
     async def _send_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         key = exchange.headers.get(KEY_HEADER, "")

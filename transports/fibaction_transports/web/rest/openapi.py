@@ -16,6 +16,7 @@ from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_T
 from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
+from fibaction_transports.web.rest.goal_search import LARGEST_OFFSET, SORT_WORDS
 from fibaction_transports.web.rest.openapi_schemas import (
     SHARED,
     Names,
@@ -106,6 +107,25 @@ _SHARED_SCHEMAS: Json = {
     "Parent": _object(
         "The goal whose executor has sent this one, and the step.", {"goal_id": _ID, "step": _TEXT}
     ),
+    "FoundGoal": {
+        "description": "A goal, and the action that it is of.",
+        "allOf": [
+            {"$ref": SHARED + "Goal"},
+            {"type": "object", "required": ["action"], "properties": {"action": _TEXT}},
+        ],
+    },
+    "Found": _object(
+        "A page of the goals that a search has found.",
+        {
+            "total": _NUMBER | {"description": "The number of all goals that were found."},
+            "goals": {"type": "array", "items": {"$ref": SHARED + "FoundGoal"}},
+            "away": {
+                "type": "array",
+                "items": _TEXT,
+                "description": "The actions whose servers cannot be asked.",
+            },
+        },
+    ),
     "Cancel": _object(
         "The answer to a cancel.",
         {
@@ -181,6 +201,30 @@ _PAST = _parameter(
     " keeps as its history; always in pages.",
     {"type": "boolean"},
 )
+_SEARCHING = (
+    _parameter(
+        "action",
+        "Only goals of this action; may be given several times.",
+        {"type": "array", "minItems": 1, "items": _TEXT},
+    ),
+    _parameter(
+        "search",
+        "Only goals that have each of these words in their action, ID, status, client, worker,"
+        " reason, labels or parent; upper and lower case are the same.",
+        _TEXT,
+    ),
+    _parameter(
+        "sort",
+        "The order; with a dash in front, the last first.",
+        {"type": "string", "enum": [*SORT_WORDS], "default": "-accepted"},
+    ),
+    _parameter("limit", "Goals of the answer.", {"type": "integer", "minimum": 1}),
+    _parameter(
+        "offset",
+        "Goals before those of the answer.",
+        {"type": "integer", "minimum": 0, "maximum": LARGEST_OFFSET},
+    ),
+)
 _GOAL_FILTERS = (_STATUSES, _CLIENT, _LABELS, _SINCE, _UNTIL, _PARENT)
 _NEXT = {
     "Link": {
@@ -223,9 +267,18 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         "tags": ["actions"],
         "responses": {"200": _answer("The actions.", listed)} | _PROBLEMS,
     }
-    paths: Json = {"/actions": {"get": all_actions}}
+    search = {
+        "summary": "Search goals.",
+        "description": "The goals of all actions that you choose, those of the histories included:"
+        " one page, and the number of all of them.",
+        "operationId": "search_goals",
+        "tags": ["actions"],
+        "parameters": [*_GOAL_FILTERS, *_SEARCHING],
+        "responses": {"200": _answer("The goals.", _ref("Found"))} | _PROBLEMS,
+    }
+    paths: Json = {"/actions": {"get": all_actions}, "/goals": {"get": search}}
     schemas = _SHARED_SCHEMAS | of_structs(ActionStatistics)
-    schema_names, operations = Names(*schemas), Names("list_actions")
+    schema_names, operations = Names(*schemas), Names("list_actions", "search_goals")
     for info in infos:
         _Described(info, schemas, schema_names, operations).add(paths)
     described: Json = {

@@ -29,6 +29,7 @@ class Resource(Enum):
     GOALS = auto()
     GOAL = auto()
     EVENTS = auto()
+    SEARCH = auto()
 
 
 METHODS = {
@@ -39,6 +40,7 @@ METHODS = {
     Resource.GOALS: ("GET", "POST", "DELETE"),
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
+    Resource.SEARCH: ("GET",),
 }
 """The methods of each resource; HEAD is GET without the body of the answer."""
 
@@ -54,6 +56,7 @@ PARAMETERS = {
     (Resource.GOAL, "GET"): ("wait",),
     (Resource.GOAL, "PUT"): ("wait", "label"),
     (Resource.EVENTS, "GET"): ("after",),
+    (Resource.SEARCH, "GET"): (*FILTERS, "action", "search", "sort", "limit", "offset"),
 }
 """The parameters of each resource and method; the others have none."""
 
@@ -125,6 +128,8 @@ def _route_of(path: str, served: Container[str]) -> Route:
         return Route(Resource.DESCRIPTION)
     if path == "/actions":
         return Route(Resource.ACTIONS)
+    if path == "/goals":
+        return Route(Resource.SEARCH)
     readings = [
         (resource, found["action"], found.groupdict().get("goal"))
         for pattern, resource in _PATHS.items()
