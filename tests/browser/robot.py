@@ -144,6 +144,14 @@ class Frame(msgspec.Struct):
     data: bytes
 
 
+class Round(msgspec.Struct):
+    """The way of a guard so far, and what its camera sees."""
+
+    battery: Annotated[float, unit("%")]
+    camera: Frame
+
+
+PATROL = Action("patrol", goal=float, feedback=Round, result=str)
 LOOK = Action("look", goal=Photo, feedback=Frame, result=bytes)
 COMPLETE = Action("complete", goal=str, feedback=str, result=int)
 FETCH = Action("fetch", goal=Fetch, feedback=int, result=str)
@@ -241,6 +249,14 @@ async def look(goal: GoalHandle[Photo]) -> Items:
     yield goal.request.data
 
 
+async def patrol(goal: GoalHandle[float]) -> Items:
+    """Look around with a camera, for some seconds."""
+    for red in (0, 100, 200):
+        yield Round(red / 4, Frame(8, 8, "rgb8", 0, 24, bytes([red, 0, 0]) * 64))
+        await anyio.sleep(goal.request)
+    yield "nothing was seen"
+
+
 async def complete(goal: GoalHandle[str]) -> Items:
     """Continue a text, piece by piece."""
     pieces = re.findall(r"\S+\s*", goal.request)
@@ -281,6 +297,7 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(BREAK, fail),
         ActionServer(FETCH, fetch),
         ActionServer(LOOK, look),
+        ActionServer(PATROL, patrol),
         ActionServer(COMPLETE, complete),
         ActionServer(ODD, be_odd),
         ActionServer(FLY, fly),

@@ -95,18 +95,18 @@ class ArchiveProcess(RobotProcess):
         return ["tests.browser.archive", self.url, str(self._file)]
 
 
-class RecordingProcess(RobotProcess):
-    """A process of `fibaction console` with a recording."""
+class ConsoleProcess(RobotProcess):
+    """A process of `fibaction console` with a recording, or with servers."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, *sources: object) -> None:
         super().__init__()
-        self._file = file
+        self._sources = [str(source) for source in sources]
         self.address = ""
         """The address of the page, with its token."""
 
     def program(self) -> list[str]:
         """Return the module to run, and its arguments."""
-        return ["fibaction", "console", str(self._file), "--no-open", "--port", str(self.port)]
+        return ["fibaction", "console", *self._sources, "--no-open", "--port", str(self.port)]
 
     def take(self, line: str) -> None:
         """Take the address from the line that the process has printed."""

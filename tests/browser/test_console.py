@@ -18,7 +18,7 @@ from playwright.sync_api import Browser, BrowserContext, FilePayload, Locator, P
 
 from fibaction.observe.recordings.recording_file import Record
 from tests.browser.robot import DRIVE
-from tests.browser.served import BridgeProcess, RecordingProcess, RobotProcess
+from tests.browser.served import BridgeProcess, ConsoleProcess, RobotProcess
 
 ID = re.compile("[0-9a-f]{8}")
 LONG = "2000"
@@ -758,7 +758,7 @@ def test_a_recording_is_shown_in_place_of_the_server(
 
 def test_a_command_opens_a_recording_in_the_page(page: Page, tmp_path: Path) -> None:
     file = recording(tmp_path)
-    with RecordingProcess(file) as served:
+    with ConsoleProcess(file) as served:
         page.goto(served.address)
         expect(page.locator("#connection")).to_have_text("recording today.jsonl")
         expect(row(page, "cdcdcdcd")).to_contain_text("too far")

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 from fibaction.observe.recordings.recording_file import Record
 from tests.browser.archive import GOALS, PAINT
 from tests.browser.served import ArchiveProcess, RobotProcess
-from tests.browser.test_console import goal, open_action
+from tests.browser.test_console import goal, open_action, send
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +146,10 @@ def test_two_goals_are_compared(page: Page, archive: RobotProcess) -> None:
         page.emulate_media(color_scheme=theme, reduced_motion="reduce")
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
+    open_action(page, archive, "varnish")
+    send(page, order="1")
+    expect(comparison).to_contain_text("Only goals of one action are compared")
+    expect(comparison.get_by_role("table")).to_be_hidden()
     comparison.get_by_role("button", name="Stop comparing").click()
     expect(comparison).to_be_hidden()
 

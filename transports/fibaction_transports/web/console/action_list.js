@@ -2,6 +2,7 @@
 
 import { arrange, h, markCurrent, setText, show } from "./dom.js";
 import { linkTo, openLink } from "./goal_text.js";
+import { isWithin, namespacesOf } from "./scope.js";
 
 export class ActionList {
   constructor(store) {
@@ -9,14 +10,15 @@ export class ActionList {
     this.items = new Map();
     this.search = h("input", { type: "search", placeholder: "Search actions", "aria-label": "Search actions", oninput: () => this.update(), onkeydown: (event) => event.key === "Enter" && this.open() });
     this.all = this.item("", "All actions");
+    this.servers = this.item("", "Servers", "#servers");
     this.list = h("ul", {});
     this.note = h("p", { class: "note" });
     this.elements = [this.search, this.list, this.note];
   }
 
-  item(name, text) {
+  item(name, text, href = name ? linkTo(name) : "#/") {
     const count = h("span", { class: "count" });
-    const link = h("a", { href: name ? linkTo(name) : "#/" }, h("span", {}, text), count);
+    const link = h("a", { href }, h("span", {}, text), count);
     return { link, count, element: h("li", {}, link) };
   }
 
@@ -30,17 +32,30 @@ export class ActionList {
       }
     }
     const names = [...actions.keys()].sort().filter((name) => name.toLowerCase().includes(word));
-    const shownItems = names.map((name) => {
-      const item = this.items.get(name) ?? this.item(name, name);
-      this.items.set(name, item);
-      this.mark(item, name === shown.action, this.store.awayOf(name) ? "away" : active.get(name));
-      return item.element;
-    });
-    this.mark(this.all, !shown.action);
-    arrange(this.list, [this.all.element, ...shownItems]);
+    const shownItems = names.map((name) => this.shownItem(name, this.store.awayOf(name) ? "away" : active.get(name)));
+    const { servers } = this.store;
+    for (const namespace of namespacesOf(names, word ? [] : servers)) {
+      const isAway = servers.some(({ name, away }) => away && `${name}/` === namespace);
+      const heading = this.shownItem(namespace, isAway ? "away" : 0);
+      heading.classList.add("namespace");
+      const at = names.findIndex((name) => isWithin(name, namespace));
+      shownItems.splice(at < 0 ? shownItems.length : shownItems.indexOf(this.items.get(names[at]).element), 0, heading);
+    }
+    this.mark(this.all, !shown.action && !this.store.view);
+    this.mark(this.servers, this.store.view === "#servers", servers.some(({ away }) => away) ? "away" : 0);
+    arrange(this.list, [this.all.element, ...(servers.length ? [this.servers.element] : []), ...shownItems]);
     this.names = names;
     show(this.note, names.length === 0);
-    setText(this.note, actions.size ? "No action has this name." : "No action is served.");
+    const none = this.store.isDescribed ? "No action is served." : "Not connected yet.";
+    setText(this.note, actions.size ? "No action has this name." : none);
+  }
+
+  /** Return the line of an action or of a namespace, with its state. */
+  shownItem(name, state) {
+    const item = this.items.get(name) ?? this.item(name, name);
+    this.items.set(name, item);
+    this.mark(item, name === this.store.shown.action && !this.store.view, state);
+    return item.element;
   }
 
   /** Open the only action that matches the search, or the one of exactly that name. */

@@ -8,15 +8,17 @@ import { counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text
 import { GoalView } from "./goal_view.js";
 import { PastGoals } from "./past_goals.js";
 import { descriptionOf } from "./schema.js";
+import { isWithin } from "./scope.js";
 import { Timeline } from "./timeline.js";
 
 const A_MOMENT = 1000;
 
 export class ActionPage {
-  /** Make the page of an action; without an `info`, that of all actions. */
-  constructor(store, info, onfilter) {
+  /** Make the page of an action; without an `info`, that of all actions, or of a namespace. */
+  constructor(store, info, scope, onfilter) {
     this.store = store;
     this.info = info;
+    this.scope = scope;
     this.view = null;
     this.states = new Map();
     this.past = new PastGoals(store);
@@ -26,7 +28,7 @@ export class ActionPage {
       oncancel: (record) => this.cancel(record),
       oncancelAll: () => this.cancelAll(),
       onforget: store.isRecording ? null : () => this.forget(),
-      onmore: store.isRecording ? () => store.change() : () => this.past.more(info?.name, this.list.filter.past),
+      onmore: store.isRecording ? () => store.change() : () => this.past.more(scope, this.list.filter.past),
       onfilter: () => {
         onfilter(this.list.filter.query);
         this.past.reset();
@@ -38,7 +40,7 @@ export class ActionPage {
     this.error = errorPlace();
     this.place = h("div", { class: "goal-place" });
     this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
-    const title = h("h1", {}, info ? info.name : "All actions");
+    const title = h("h1", {}, info?.name ?? (scope || "All actions"));
     const type = info?.type_name ?? info?.typeName;
     const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
     const about = this.form && descriptionOf(info.goal);
@@ -50,7 +52,7 @@ export class ActionPage {
 
   /** Show what there is now. */
   update() {
-    const goals = this.store.goalsOf(this.info?.name ?? "");
+    const goals = this.store.goalsOf(this.scope);
     const record = this.store.goals.get(this.store.shown.goal);
     if (!record) {
       this.view = null;
@@ -75,7 +77,7 @@ export class ActionPage {
 
   /** Say which servers are away. */
   tellAway() {
-    const names = this.info ? [this.info.name] : [...this.store.actions.keys()];
+    const names = [...this.store.actions.keys()].filter((name) => isWithin(name, this.scope));
     const away = names.filter((name) => this.store.awayOf(name));
     show(this.away, away.length > 0);
     if (away.length) {
@@ -162,10 +164,10 @@ export class ActionPage {
   }
 
   async cancelAll() {
-    const active = this.store.goalsOf(this.info?.name ?? "").filter((goal) => goal.isActive);
+    const active = this.store.goalsOf(this.scope).filter((goal) => goal.isActive);
     const text = `This asks the server to cancel ${counted(active.length, "active goal")}, those of other clients included.`;
     if (await confirmed("Cancel all goals?", text, "Cancel all", "Keep them")) {
-      const reasons = await this.store.cancelAll(this.info?.name ?? "");
+      const reasons = await this.store.cancelAll(this.scope);
       this.fail(reasons.length ? `${counted(reasons.length, "cancel")} rejected: ${reasons[0]}` : "");
     }
   }

@@ -62,10 +62,25 @@ export function drawThrough(pen, ...points) {
   pen.stroke();
 }
 
+/** The time at which a person looks; null if there is none. */
+export class Cursor {
+  constructor(onmove) {
+    this.at = null;
+    this.onmove = onmove;
+  }
+
+  move(at) {
+    this.at = at;
+    this.onmove();
+  }
+}
+
 /** One chart of a goal. */
 export class Chart {
-  constructor(chart) {
+  /** Draw a chart. All charts of a goal have one cursor, whose `at` is a time; `move` changes it. */
+  constructor(chart, cursor) {
     this.chart = chart;
+    this.cursor = chart.isCurve ? new Cursor(() => this.draw()) : cursor;
     this.canvas = h("canvas", { role: "img", tabindex: 0, "aria-label": `Chart of ${chart.title}`, "aria-keyshortcuts": "+ - ArrowLeft ArrowRight 0" });
     this.zoom = new Zoom();
     this.whole = button("Show all", () => this.showWhole(), { class: "quiet", hidden: true });
@@ -77,19 +92,17 @@ export class Chart {
     this.element = h(
       "figure",
       { class: "chart" },
-      h("figcaption", {}, h("strong", {}, title), " ", ...names),
+      h("figcaption", {}, h("strong", {}, title), " ", ...names, this.whole),
       this.canvas,
-      this.whole,
     );
-    this.pointer = this.drag = this.area = null;
+    this.drag = this.area = null;
     listen(this.canvas, this.zoom, { axis: () => this.axis(), ondrag: (drag) => this.select(drag), onzoom: () => this.tellZoom() });
     this.canvas.addEventListener("pointermove", (event) => this.point(event.offsetX));
     this.canvas.addEventListener("pointerleave", () => this.point(null));
   }
 
   point(x) {
-    this.pointer = x;
-    this.draw();
+    this.cursor.move(x === null || !this.area ? null : this.axis().valueAt(x));
   }
 
   /** Return what a zoom needs to know of the axis of time; null if nothing is drawn. */
@@ -140,10 +153,20 @@ export class Chart {
       this.chart.lines.forEach((line, index) => {
         drawLine(pen, line, area, style.getPropertyValue(`--line-${index % 6}`));
       });
+      this.drawCursor(pen, area, style);
       this.drawDrag(pen, style);
       pen.restore();
     }
     this.tell(area);
+  }
+
+  drawCursor(pen, area, style) {
+    if (this.cursor.at !== null) {
+      const x = MARGIN.left + (this.cursor.at - area.low) * area.scaleX;
+      pen.strokeStyle = style.getPropertyValue("--faint");
+      pen.lineWidth = 1;
+      drawThrough(pen, [x, 0], [x, HEIGHT]);
+    }
   }
 
   drawDrag(pen, style) {
@@ -155,13 +178,12 @@ export class Chart {
     }
   }
 
-  /** Write the newest values into the legend, or those at the pointer. */
+  /** Write the newest values into the legend, or those at the cursor. */
   tell(area) {
     this.chart.lines.forEach((line, index) => {
       let value = line.latest;
-      if (this.pointer !== null && area) {
-        const time = area.low + (this.pointer - MARGIN.left) / area.scaleX;
-        const at = line.times.findIndex((one) => one >= time);
+      if (this.cursor.at !== null && area) {
+        const at = line.times.findIndex((one) => one >= this.cursor.at);
         value = line.values[at] ?? value;
       }
       setText(this.values[index], shortNumber(value));

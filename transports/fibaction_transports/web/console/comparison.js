@@ -52,15 +52,16 @@ export class Comparison {
     this.drawn = "";
   }
 
-  /** Show how a goal differs from the one that was chosen, which may be none, or itself. */
+  /** Show how a goal differs from one of the same action that was chosen, or say what to open. */
   update(basis, record) {
     show(this.element, Boolean(basis));
     if (!basis) {
       return;
     }
+    const isOther = basis.action !== record.action;
     this.link.setAttribute("href", linkTo(basis.action, basis.id));
     setText(this.link, shortId(basis.id));
-    const rows = compared(basis, record);
+    const rows = isOther ? [] : compared(basis, record);
     const differing = rows.filter(([, one, other]) => one !== other);
     const text = JSON.stringify([basis.key, record.key, differing]);
     if (text !== this.drawn) {
@@ -70,7 +71,8 @@ export class Comparison {
       const cell = (value) => h("td", {}, value.length > MOST_LETTERS ? `${value.slice(0, MOST_LETTERS)}…` : value);
       this.body.replaceChildren(...differing.map(([name, ...both]) => h("tr", {}, h("th", { scope: "row" }, name), ...both.map(cell))));
     }
-    show(this.body.parentElement, basis !== record);
-    setText(this.note, basis === record ? "Open the other goal." : `${rows.length - differing.length} of ${rows.length} fields are the same.`);
+    show(this.body.parentElement, basis !== record && !isOther);
+    const wanted = isOther ? `Only goals of one action are compared: open another one of ${basis.action}.` : "Open the other goal.";
+    setText(this.note, basis === record || isOther ? wanted : `${rows.length - differing.length} of ${rows.length} fields are the same.`);
   }
 }

@@ -47,10 +47,14 @@ export function askToken(reason) {
   });
 }
 
+/** Show something that a person closes. */
+export function showPanel(title, body) {
+  const close = button("Close", () => dialog.close());
+  const dialog = open(title, body, h("div", { class: "buttons" }, close));
+}
+
 /** Show the keys. */
 export function showKeys(keys) {
   const rows = keys.map(([key, text]) => h("tr", {}, h("td", {}, h("kbd", {}, key)), h("td", {}, text)));
-  const close = button("Close", () => dialog.close());
-  const body = h("table", { class: "keys" }, h("tbody", {}, ...rows));
-  const dialog = open("Keyboard shortcuts", body, h("div", { class: "buttons" }, close));
+  showPanel("Keyboard shortcuts", h("table", { class: "keys" }, h("tbody", {}, ...rows)));
 }

@@ -1,6 +1,7 @@
 /** Words for goals: statuses, times, and places in a queue. */
 
 import { h } from "./dom.js";
+import { settings } from "./settings.js";
 
 const WORDS = {
   SENDING: ["sending", "…"],
@@ -56,14 +57,17 @@ export function durationOf(seconds) {
   return minutes < 60 ? `${minutes}:${rest} min` : `${(minutes / 60).toFixed(1)} h`;
 }
 
-// One for all, since it takes longer to make one than to use it.
-const CLOCK = new Intl.DateTimeFormat([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
+// One for each zone, since it takes longer to make one than to use it.
+const PARTS = { hour: "2-digit", minute: "2-digit", second: "2-digit" };
+const CLOCKS = { local: new Intl.DateTimeFormat([], PARTS), UTC: new Intl.DateTimeFormat([], { ...PARTS, timeZone: "UTC", hourCycle: "h23" }) };
 
-/** Return a time of the day, and the day if it is not today. */
+/** Return a time of the day, and the day if it is not today, in the zone that was chosen. */
 export function timeOf(stamp) {
   const time = new Date(stamp);
-  const clock = CLOCK.format(time);
-  return time.toDateString() === new Date().toDateString() ? clock : `${time.toLocaleDateString()} ${clock}`;
+  const timeZone = settings.zone === "UTC" ? "UTC" : undefined;
+  const clock = CLOCKS[settings.zone].format(time) + (timeZone ? " UTC" : "");
+  const day = (one) => (timeZone ? one.toISOString().slice(0, 10) : one.toDateString());
+  return day(time) === day(new Date()) ? clock : `${time.toLocaleDateString([], { timeZone })} ${clock}`;
 }
 
 /** Return a number of things with their name. */

@@ -1,7 +1,7 @@
 /** One goal: what was sent beside its result, its feedback as charts and text, and its cancel. */
 
 import { shapeOf } from "./action_shape.js";
-import { Chart } from "./chart.js";
+import { Chart, Cursor } from "./chart.js";
 import { Comparison } from "./comparison.js";
 import { button, h, setText, show } from "./dom.js";
 import { GoalFamily } from "./goal_family.js";
@@ -43,7 +43,7 @@ export class GoalView {
     this.comparison = new Comparison({ onstop: () => this.setBasis("") });
     this.labels = h("p", { class: "labels" });
     this.onlabel = onlabel;
-    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, this.chartList, this.text, this.imageList, this.latest, this.log);
+    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, h("div", { class: "beside" }, this.chartList, this.imageList), this.text, this.latest, this.log);
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
@@ -64,7 +64,8 @@ export class GoalView {
   take(record) {
     this.record = record;
     this.series = record.series;
-    this.charts = record.series.charts.map((chart) => new Chart(chart));
+    this.cursor = new Cursor(() => this.moveCursor());
+    this.charts = record.series.charts.map((chart) => new Chart(chart, this.cursor));
     this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
     const shape = shapeOf(record.info);
     this.planes = new Planes(shape.places);
@@ -115,8 +116,21 @@ export class GoalView {
     const isKnown = this.mayUseAgain && record.goal !== undefined;
     show(this.again, isKnown);
     show(this.retry, isKnown && !record.isActive && Boolean(record.info));
-    this.images.forEach(([of, images]) => images.show(record[of]));
+    this.showImages(record);
     this.updateFeedback(record);
+  }
+
+  /** Show the images: those of the feedback as they were at the cursor of the charts. */
+  showImages(record) {
+    const { at } = this.cursor;
+    const isThere = ([time]) => at !== null && (time - record.sentAt) / 1000 <= at;
+    const feedback = record.lines.findLast(isThere)?.[1] ?? record.feedback;
+    this.images.forEach(([of, images]) => images.show(of === "feedback" ? feedback : record[of]));
+  }
+
+  moveCursor() {
+    this.charts.forEach((chart) => chart.draw());
+    this.showImages(this.record);
   }
 
   /** Show the text that the feedback is, and stay at its end unless the person has scrolled. */

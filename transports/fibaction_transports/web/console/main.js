@@ -8,10 +8,15 @@ import { askToken, showKeys } from "./dialogs.js";
 import { h, setText, show } from "./dom.js";
 import { linkTo } from "./goal_text.js";
 import { History } from "./history.js";
+import { Notices } from "./notices.js";
 import { RecordedStore } from "./recording.js";
 import { Store } from "./store.js";
+import { isWithin } from "./scope.js";
+import { ServersPage } from "./servers_page.js";
+import { showSettings } from "./settings.js";
 import { setUpTheme } from "./theme.js";
 
+const VIEWS = { "#servers": ServersPage }; // in place of the page of an action
 const TICK = 500;
 const TICKS_OF_PLACES = 4;
 const KEYS = [
@@ -34,6 +39,7 @@ class Console {
     const redraw = () => this.store.change();
     setUpTheme(document.getElementById("theme"), redraw);
     window.addEventListener("resize", redraw);
+    document.getElementById("settings").addEventListener("click", () => showSettings(() => this.rewrite()));
     document.getElementById("help").addEventListener("click", () => showKeys(KEYS));
     document.getElementById("open").addEventListener("click", () => this.chooseRecording());
     window.addEventListener("dragover", (event) => event.preventDefault());
@@ -46,11 +52,19 @@ class Console {
       this.content.focus();
     });
     this.page = null;
+    this.notices = new Notices();
+    this.query = "";
     this.ticks = 0;
     this.connect(takeToken());
     window.addEventListener("hashchange", () => this.update());
     window.addEventListener("keydown", (event) => this.press(event));
     setInterval(() => this.tick(), TICK);
+  }
+
+  /** Write all texts of the page again, such as times in another zone. */
+  rewrite() {
+    this.page = null;
+    this.store.change();
   }
 
   connect(token) {
@@ -108,7 +122,7 @@ class Console {
       show(document.getElementById("open"), false);
       this.openRecording(await answer.blob(), name);
     } catch (error) {
-      this.page.fail(`${name} cannot be read: ${error.message}`);
+      this.page.fail?.(`${name} cannot be read: ${error.message}`);
     }
   }
 
@@ -140,8 +154,17 @@ class Console {
     this.connect(token);
   }
 
-  /** Show the action and the goal in the address. */
+  /** Show the action and the goal in the address, or another view. */
   route() {
+    const View = VIEWS[window.location.hash];
+    this.store.view = View && window.location.hash;
+    if (View) {
+      if (!(this.page instanceof View)) {
+        this.store.show("");
+        this.place(new View(this.store), this.store.view.slice(1));
+      }
+      return;
+    }
     const { action, goal, query } = shownIn(window.location.hash, this.store.actions);
     const record = this.store.goalsOf(action).find((one) => goal && one.id.startsWith(goal));
     const isSame = this.store.shown.action === action && this.store.shown.goal === (record?.key ?? "");
@@ -152,17 +175,24 @@ class Console {
       this.store.lookUp(action, goal);
     }
     const info = this.store.actions.get(action);
-    if (!this.page || this.page.info !== info) {
-      this.page = new ActionPage(this.store, info, (chosen) => this.keepQuery(chosen));
+    const scope = info?.name ?? (action.endsWith("/") ? action : "");
+    if (!this.page || this.page.info !== info || this.page.scope !== scope) {
       this.query = "";
-      this.content.replaceChildren(this.page.element);
-      document.title = info ? `${info.name} · fibaction console` : "fibaction console";
+      this.place(new ActionPage(this.store, info, scope, (chosen) => this.keepQuery(chosen)), scope);
     }
     if (query !== this.query) {
       this.query = query;
       this.page.list.filter.query = query;
       this.page.past.reset();
     }
+  }
+
+  /** Show a page. */
+  place(page, name) {
+    this.page = page;
+    this.content.replaceChildren(page.element);
+    document.title = name ? `${name} · fibaction console` : "fibaction console";
+    this.notices.mark();
   }
 
   /** Put the choice of goals into the address. */
@@ -175,10 +205,16 @@ class Console {
   missing() {
     const { action, goal } = shownIn(window.location.hash, this.store.actions);
     const { isDescribed, isRecording, state, actions, goals, shown } = this.store;
+    if (!isDescribed && !isRecording) {
+      return `There is no connection to ${window.location.host} yet. It is tried again.`;
+    }
     if (!isDescribed || !(isRecording || state === "ready") || !action) {
       return "";
     }
     const where = isRecording ? "recording" : "server";
+    if (action.endsWith("/") && [...actions.keys()].some((name) => isWithin(name, action))) {
+      return "";
+    }
     if (!actions.has(action)) {
       return `The ${where} has no action ${action}. The others are in the list.`;
     }
@@ -198,6 +234,7 @@ class Console {
     this.actions.update();
     this.page.update();
     this.page.tellMissing(this.missing());
+    this.notices.update(this.store);
   }
 
   /** Let the times of active goals go on. */
@@ -226,9 +263,9 @@ class Console {
     };
     const deeds = {
       "/": () => this.actions.search.focus(),
-      n: () => this.page.focusForm(),
-      j: () => go(this.page.list.neighbour(1)),
-      k: () => go(this.page.list.neighbour(-1)),
+      n: () => this.page.focusForm?.(),
+      j: () => go(this.page.list?.neighbour(1)),
+      k: () => go(this.page.list?.neighbour(-1)),
       c: () => record?.isActive && this.page.cancel(record),
       "?": () => showKeys(KEYS),
       Escape: () => go((action ? linkTo(action) : "#/") + this.query),

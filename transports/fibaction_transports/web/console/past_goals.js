@@ -1,5 +1,7 @@
 /** The goals that only the history of the server has, read in pages, the newest ones first. */
 
+import { isWithin } from "./scope.js";
+
 const WATCH_STATUS = 20; // the message of the protocol that asks for a page
 const PAGE = 200;
 
@@ -15,11 +17,11 @@ export class PastGoals {
     this.text = "";
   }
 
-  /** Read the next page of one action, or of each, of the goals that a filter wants. */
-  async more(action, past) {
+  /** Read the next page of each action of a scope, of the goals that a filter wants. */
+  async more(scope, past) {
     const { places } = this;
     const { actions, connection } = this.store;
-    const names = (action ? [action] : [...actions.keys()]).filter((name) => places.get(name) !== null);
+    const names = [...actions.keys()].filter((name) => isWithin(name, scope) && places.get(name) !== null);
     let count = 0;
     this.tell("Reading the history of the server…");
     try {

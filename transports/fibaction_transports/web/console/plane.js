@@ -65,8 +65,8 @@ class Plane {
     const zooms = h("div", { class: "zooms" }, this.whole, named("−", "-", "Zoom out"), named("+", "+", "Zoom in"));
     this.frame = h("span", {});
     this.keys = h("span", { class: "keys-of-plane" });
-    const caption = h("figcaption", {}, h("strong", {}, this.title), this.frame, this.keys);
-    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas, zooms);
+    const caption = h("figcaption", {}, h("strong", {}, this.title), this.frame, this.keys, zooms);
+    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas);
   }
 
   /** Draw the part of the zoom, and tell it to a screen reader. */

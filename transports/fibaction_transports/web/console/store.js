@@ -12,6 +12,7 @@
 
 import { ACTIVE, GoalRecord } from "./goal_record.js";
 import { timeOf } from "./goal_text.js";
+import { isWithin } from "./scope.js";
 import { stored } from "./values.js";
 
 const MOST_FOLLOWED = 20;
@@ -52,6 +53,7 @@ export class Store {
     this.state = "connecting";
     this.lost = undefined; // the connection, since then
     this.away = new Map(); // servers of actions behind a bridge, since then
+    this.servers = []; // if the page is of several
     this.onchange = () => {};
     this.frame = 0;
   }
@@ -88,16 +90,20 @@ export class Store {
 
   /** Ask which servers are away. */
   async askAway() {
-    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
-    try {
-      const answer = await fetch("actions", { headers });
-      const infos = answer.ok ? await answer.json() : [];
+    const infos = await this.fetched("actions");
+    if (infos) { // else the connection is lost, too
       const away = infos.filter((info) => info.away);
       this.away = new Map(away.map(({ name, away: { since, reason } }) => [name, { since: since * 1000, reason }]));
-    } catch {
-      // The connection is lost, too.
+      this.servers = (await this.fetched("servers")) ?? [];
     }
     this.markAway();
+  }
+
+  /** Return what the server has at a path; null if it cannot be read. */
+  async fetched(path) {
+    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
+    const answer = await fetch(path, { headers }).catch(() => null);
+    return answer?.ok ? answer.json().catch(() => null) : null;
   }
 
   /** Return since when the server of an action is away, and why; undefined if it is not. */
@@ -189,9 +195,9 @@ export class Store {
 
   // Goals
 
-  /** Return the goals of an action, or of all, the newest first. */
-  goalsOf(action) {
-    const goals = [...this.goals.values()].filter((goal) => !action || goal.action === action);
+  /** Return the goals of an action, of a namespace, or of all, the newest first. */
+  goalsOf(scope) {
+    const goals = [...this.goals.values()].filter((goal) => isWithin(goal.action, scope));
     return goals.sort((one, other) => other.sentAt - one.sentAt);
   }
 
@@ -316,8 +322,7 @@ export class Store {
   }
 
   isInReach(record) {
-    const isShown = !this.shown.action || record.action === this.shown.action;
-    if (!isShown || !record.isActive) {
+    if (!isWithin(record.action, this.shown.action) || !record.isActive) {
       return false;
     }
     const followed = [...this.goals.values()].filter((one) => one.handle && one.isActive);

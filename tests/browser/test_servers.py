@@ -1,0 +1,205 @@
+"""The console of several robots in a real browser: one is killed, frozen and started again."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Generator
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Locator, Page, expect
+
+from tests.browser.served import ConsoleProcess, RobotProcess
+from tests.browser.test_console import NewRobot, action, drive, goal, open_action, row, send
+
+LONG = "2000"
+
+
+@pytest.fixture
+def north(new_robot: NewRobot) -> RobotProcess:
+    return new_robot()
+
+
+@pytest.fixture
+def console(north: RobotProcess, robot: RobotProcess) -> Generator[ConsoleProcess, None, None]:
+    """Start the console of a robot of the test's own, and of one for all tests."""
+    with ConsoleProcess(f"north={north.url}", f"south={robot.url}") as running:
+        yield running
+
+
+def line(page: Page, name: str) -> Locator:
+    """Return the row of a server."""
+    return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name))
+
+
+def is_accessible(page: Page) -> None:
+    for theme in ("light", "dark"):
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+    page.set_viewport_size({"width": 390, "height": 740})
+    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    assert page.evaluate(wide) <= 0
+
+
+def test_the_servers_are_listed_and_their_actions_are_in_namespaces(
+    page: Page, console: ConsoleProcess
+) -> None:
+    page.goto(console.address)
+    action(page, "Servers").click()
+    expect(page).to_have_title("servers · fibaction console")
+    for text in ("connected", "0 active goals", "13 actions"):
+        expect(line(page, "north")).to_contain_text(text)
+    action(page, "south/fibonacci").click()
+    sent = send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    page.get_by_role("navigation").get_by_role("link", name="north/", exact=True).click()
+    expect(page.get_by_role("heading", name="north/", exact=True)).to_be_visible()
+    expect(row(page, sent)).to_have_count(0)
+    page.get_by_role("navigation").get_by_role("link", name="south/", exact=True).click()
+    expect(row(page, sent)).to_have_count(1)
+    action(page, "Servers").click()
+    expect(line(page, "north")).to_be_visible()
+    is_accessible(page)
+
+
+def test_a_robot_that_goes_is_away_in_the_list_and_the_others_stay(
+    page: Page, console: ConsoleProcess, north: RobotProcess
+) -> None:
+    page.goto(f"{console.address}&/north/fibonacci")
+    expect(page.get_by_role("heading", name="north/fibonacci")).to_be_visible()
+    running = send(page, order=LONG)
+    page.goto(f"{console.url}/#servers")
+    expect(line(page, "north")).to_contain_text("1 active goal")
+    for end, again in (
+        (north.kill, north.start),
+        (
+            lambda: os.kill(north.pid, signal.SIGSTOP),
+            lambda: os.kill(north.pid, signal.SIGCONT),
+        ),
+    ):
+        end()
+        expect(line(page, "north")).to_contain_text("away since")
+        expect(line(page, "south")).to_contain_text("connected")
+        expect(action(page, "Servers")).to_contain_text("away")
+        expect(page).to_have_title(re.compile(r"^\(1\) servers"))
+        again()
+        expect(line(page, "north")).to_contain_text("connected")
+        page.evaluate("window.dispatchEvent(new Event('focus'))")
+        expect(page).to_have_title("servers · fibaction console")
+    page.goto(f"{console.url}/#/north/fibonacci")
+    expect(row(page, running).locator(".badge")).to_have_text("? unknown")
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+
+def test_a_console_that_is_killed_and_started_again_shows_its_servers_again(
+    page: Page, console: ConsoleProcess
+) -> None:
+    page.goto(console.address)
+    action(page, "Servers").click()
+    expect(line(page, "north")).to_contain_text("connected")
+    console.kill()
+    expect(page.locator("#connection")).to_have_text("connection lost, trying again")
+    console.start()
+    page.goto("about:blank")
+    page.goto(console.address)
+    expect(page.locator("#connection")).to_have_text("connected")
+    expect(action(page, "south/fibonacci")).to_be_visible()
+    page.goto(f"{console.url}/#servers")
+    expect(line(page, "north")).to_contain_text("connected")
+
+
+# Of what a person is told
+
+
+def test_an_aborted_goal_is_told_in_the_title_and_as_a_notification_if_they_are_wanted(
+    page: Page, robot: RobotProcess
+) -> None:
+    page.add_init_script(
+        """window.told = [];
+        window.Notification = class extends EventTarget {
+          static permission = "granted";
+          static requestPermission = async () => "granted";
+          constructor(text, { body }) { super(); window.told.push([text, body]); }
+        };
+        window.AudioContext = class {
+          constructor() { window.told.push("beep"); throw new Error("there is no sound here"); }
+        };"""
+    )
+    page.add_init_script("document.hasFocus = () => false")
+    open_action(page, robot, "break")
+    send(page, order="3")
+    expect(page).to_have_title("(1) break · fibaction console")
+    page.get_by_role("button", name="Settings").click()
+    page.get_by_label("By a notification of the system").check()
+    page.get_by_label("In the title of the page").uncheck()
+    page.keyboard.press("Escape")
+    first = send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+    expect(page).to_have_title("break · fibaction console")
+    page.wait_for_function("window.told.length === 1")
+    assert page.evaluate("window.told") == [
+        [f"break: goal {first} was aborted", "the arm is stuck"]
+    ]
+
+
+def test_times_are_told_in_utc_if_that_is_wanted_and_it_is_remembered(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot)
+    send(page, order="3")
+    expect(goal(page).locator(".facts")).not_to_contain_text("UTC")
+    page.get_by_role("button", name="Settings").click()
+    is_accessible(page)
+    page.get_by_label("Times in").select_option("UTC")
+    page.keyboard.press("Escape")
+    times = re.compile(r"\d\d:\d\d:\d\d UTC")
+    expect(goal(page).locator(".facts")).to_contain_text(times)
+    expect(page.locator(".goals .time").first).to_contain_text(times)
+    page.reload()
+    expect(goal(page).locator(".facts")).to_contain_text(times)
+
+
+def test_a_page_without_a_first_connection_says_so(page: Page, robot: RobotProcess) -> None:
+    page.route_web_socket(re.compile(".*"), lambda socket: None)
+    page.goto(robot.url)
+    expect(page.get_by_text("There is no connection to 127.0.0.1")).to_be_visible()
+    expect(page.get_by_role("navigation")).to_contain_text("Not connected yet.")
+    expect(page.locator("#connection")).to_have_text("connecting")
+
+
+# Charts
+
+
+def test_one_cursor_is_in_all_charts(page: Page, robot: RobotProcess) -> None:
+    drive(page, robot)
+    values = goal(page).locator(".charts b")
+    newest = values.all_inner_texts()
+    goal(page).get_by_role("img", name="Chart of battery").hover(position={"x": 90, "y": 40})
+    expect(values.last).not_to_have_text(newest[-1])
+    page.mouse.move(0, 0)
+    expect(values.last).to_have_text(newest[-1])
+
+
+def test_a_camera_is_beside_the_charts_and_shows_the_time_of_the_cursor(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "patrol")
+    page.get_by_label("goal", exact=True).fill("0.1")
+    send(page)
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    camera = goal(page).get_by_role("img", name="Image camera of the feedback")
+    red = "canvas => canvas.getContext('2d').getImageData(2, 2, 1, 1).data[0]"
+    chart = goal(page).get_by_role("img", name="Chart of battery")
+    left, right = chart.bounding_box(), camera.bounding_box()
+    assert left is not None
+    assert right is not None
+    assert right["x"] > left["x"] + left["width"]
+    begin, width = 52, left["width"] - 62  # of the axis
+    for share, shown in ((0.2, 0), (0.75, 100), (1.01, 200)):
+        chart.hover(position={"x": begin + share * width, "y": 40})
+        arg = [camera.element_handle(), shown]
+        page.wait_for_function(f"([canvas, shown]) => ({red})(canvas) === shown", arg=arg)

@@ -1,0 +1,71 @@
+/** The list of servers and of the workers of fleets: their state, their room, and their goals. */
+
+import { arrange, h, setText, show } from "./dom.js";
+import { counted, durationOf, linkTo, timeOf } from "./goal_text.js";
+
+/** One row of a table, whose cells keep their places. */
+class Row {
+  constructor(name, href, count) {
+    this.name = href ? h("a", { href }, name) : h("span", {}, name);
+    this.badge = h("span", { class: "badge" });
+    this.cells = Array.from({ length: count }, () => h("td"));
+    this.element = h("tr", {}, h("th", { scope: "row" }, this.name), h("td", {}, this.badge), ...this.cells);
+  }
+
+  update(state, className, ...texts) {
+    this.badge.className = `badge ${className}`;
+    setText(this.badge, state);
+    this.cells.forEach((cell, index) => setText(cell, texts[index]));
+  }
+}
+
+function tableOf(caption, names) {
+  const body = h("tbody");
+  const head = h("thead", {}, h("tr", {}, ...names.map((name) => h("th", { scope: "col" }, name))));
+  return [h("table", { class: "servers" }, h("caption", { class: "hidden-text" }, caption), head, body), body];
+}
+
+export class ServersPage {
+  constructor(store) {
+    this.store = store;
+    this.rows = new Map();
+    const [table, body] = tableOf("Servers", ["Server", "State", "Address", "Goals", "Actions"]);
+    const [fleet, workers] = tableOf("Workers", ["Worker", "Room", "Server", "Goals", "Joined", "Actions"]);
+    Object.assign(this, { body, workers });
+    this.fleet = h("section", { class: "card", "aria-label": "Workers" }, h("h2", {}, "Workers"), fleet);
+    const servers = h("section", { class: "card", "aria-label": "Servers" }, table);
+    this.element = h("div", { class: "page" }, h("div", { class: "title" }, h("h1", {}, "Servers")), servers, this.fleet);
+  }
+
+  update() {
+    const { servers } = this.store;
+    arrange(this.body, servers.map((server) => this.serverRow(server)));
+    const workers = servers.flatMap((server) => server.workers.map((worker) => this.workerRow(server, worker)));
+    show(this.fleet, workers.length > 0);
+    arrange(this.workers, workers);
+  }
+
+  row(key, ...how) {
+    const row = this.rows.get(key) ?? new Row(...how);
+    this.rows.set(key, row);
+    return row;
+  }
+
+  serverRow({ name, url, actions, away }) {
+    const row = this.row(name, name || url, name ? linkTo(name) + "/" : "#/", 3);
+    const active = [...this.store.goals.values()].filter((goal) => goal.isActive && actions.includes(goal.action));
+    const since = away ? `away since ${timeOf(away.since * 1000)}` : "connected";
+    row.update(since, away ? "away" : "succeeded", url, counted(active.length, "active goal"), counted(actions.length, "action"));
+    row.element.title = away?.reason ?? "";
+    return row.element;
+  }
+
+  workerRow(server, { name, actions, since, goals, has_room: hasRoom }) {
+    const row = this.row(`${server.name}/${name}`, name, "", 4);
+    const joined = `${durationOf((Date.now() - since / 1e6) / 1000)} ago`;
+    row.update(hasRoom ? "has room" : "full", hasRoom ? "succeeded" : "accepted", server.name || server.url, counted(goals, "goal"), joined, [...actions].sort().join(", "));
+    return row.element;
+  }
+
+  tellMissing() {}
+}
