@@ -612,6 +612,31 @@ async def test_the_node_serves_and_calls_actions_and_leaves_them_with_their_bloc
             assert await client.call(Goal(5)) == Result([0, 1, 1, 2, 3, 5])
 
 
+async def test_the_ends_of_one_node_hear_each_other(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, _):
+        latched = robot.publisher("map", STRING, qos="transient_local")
+        await latched.publish({"data": "before"})
+        heard = robot.subscribe("map", STRING, qos="transient_local")
+        await until(lambda: latched.reader_count() == heard.publisher_count() == 1)
+        await latched.publish({"data": "after"})
+        assert [(await heard.next(PATIENCE)).data for _ in range(2)] == ["before", "after"]
+        weak = robot.publisher("map", STRING, qos="best_effort")
+        assert heard.publisher_count() == (1 if scheme == "dds://" else 2)
+        heard.close()
+        await until(lambda: not latched.reader_count())
+        with robot.subscribe("map", STRING, qos="best_effort") as late:
+            await until(lambda: late.publisher_count() == 2)
+            weak.close()
+            await until(lambda: late.publisher_count() == 1)
+        with robot.serve_service("reset", BOOL, lambda request: {"success": request.data}):
+            assert (await robot.call("reset", BOOL, {"data": True}, timeout=PATIENCE)).success
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), robot),
+            connect(robot, FIBONACCI) as client,
+        ):
+            assert await client.call(Goal(5)) == Result([0, 1, 1, 2, 3, 5])
+
+
 async def test_other_addresses_are_no_nodes() -> None:
     with pytest.raises(InvalidURL, match="a node of ROS is at ros2://, dds:// or zenoh://"):
         async with open_node("tcp://127.0.0.1:1"):

@@ -155,6 +155,11 @@ class ParticipantNetwork:
         self.settle()
         return reader
 
+    def match_own(self, endpoint: DataWriter | DataReader) -> None:
+        """Match an endpoint with the others of this participant."""
+        self.participant.match_own(endpoint, self._loop.time())
+        self.settle()
+
     def remove(self, endpoint: DataWriter | DataReader) -> None:
         """Close a writer or reader, and tell others that it is gone."""
         self.participant.remove(endpoint, self._loop.time())

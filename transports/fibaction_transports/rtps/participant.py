@@ -15,7 +15,7 @@ checked is the address: something in the name of a participant counts only from 
 announced, and a participant is sent little before it has shown that it receives it (`budgets`). So
 another host cannot end a participant or move its numbers, unless it forges source addresses; a
 program of the same machine can do so to all participants of this machine.
-Endpoints of the same participant do not match each other.
+Endpoints of the same participant do not match each other, unless `match_own` is called for each.
 """
 
 from __future__ import annotations
@@ -207,6 +207,12 @@ class Participant:
         self._local.readers[guid.entity] = reader
         self._announce(reader, user_data, now)
         return reader
+
+    def match_own(self, endpoint: DataWriter | DataReader, now: float) -> None:
+        """Match an endpoint with the others of this participant, which exchange samples without the
+        network.
+        """
+        self._matcher.match_own(endpoint, now)
 
     def remove(self, endpoint: DataWriter | DataReader, now: float) -> None:
         """Close a writer or reader, and tell others that it is gone; once is enough."""

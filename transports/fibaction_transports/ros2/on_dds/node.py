@@ -124,7 +124,7 @@ class DdsNode(OwnNode):
         reader = self._reader(topic_name(topic), message_type, qos)
         subscription = DdsSubscription(reader, take, self.network.catch_up)
         self._subscriptions[reader.guid] = subscription
-        self._takers[reader.guid] = subscription.receive
+        self._listen(reader, subscription.receive)
         return subscription
 
     def caller(
@@ -142,7 +142,7 @@ class DdsNode(OwnNode):
         self.in_use.add_service(service_type)
         ends = ServiceEnds(self.network, writer, reader)
         caller = DdsCaller(ends, service_type, take, take_unreadable)
-        self._takers[reader.guid] = caller.receive
+        self._listen(reader, caller.receive)
         self._tasks.start_soon(caller.ask, name=f"client of {service}")
         return caller
 
@@ -153,12 +153,13 @@ class DdsNode(OwnNode):
         reader = self._reader(request_topic(service), service_type.Request, qos)
         self.in_use.add_service(service_type)
         provider = DdsProvider(ServiceEnds(self.network, writer, reader), service_type, take)
-        self._takers[reader.guid] = provider.receive
+        self._listen(reader, provider.receive)
         return provider
 
     def life_watch(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsLifeWatch:
         reader = self._reader(topic_name(topic), message_type, qos)
         watch = self._watches[reader.guid] = DdsLifeWatch(reader)
+        self.network.match_own(reader)
         return watch
 
     def remove(self, part: NodePart) -> None:
@@ -177,6 +178,7 @@ class DdsNode(OwnNode):
             topic, message_type.dds_name, dds_qos(qos), user_data=message_type.user_data
         )
         self.graph.add(made)
+        self.network.match_own(made)
         return made
 
     def _reader(self, topic: str, message_type: MessageType, qos: EndQos) -> DataReader:
@@ -186,6 +188,10 @@ class DdsNode(OwnNode):
         )
         self.graph.add(made)
         return made
+
+    def _listen(self, reader: DataReader, take: Callable[[Sample], None]) -> None:
+        self._takers[reader.guid] = take
+        self.network.match_own(reader)  # not before: it may have samples already
 
 
 def _ends_of(part: NodePart) -> tuple[DataWriter | DataReader, ...]:

@@ -178,7 +178,7 @@ class DdsCaller(ServiceCaller):
         return self._calls
 
     def _write(self, call: int, payload: bytes) -> None:
-        servers = self.ends.writer.readers
+        servers = self.ends.writer.matched
         by_header = set(filter(self.ends.uses_header, servers))
         if by_header and len(by_header) < len(servers):
             for server in servers:
@@ -201,7 +201,7 @@ class DdsCaller(ServiceCaller):
     def is_available(self) -> bool:
         # A server that has not found the reader yet would lose the first answers.
         ends = self.ends
-        for reader in ends.writer.readers:
+        for reader in ends.writer.matched:
             for writer in ends.reader.confirmed_writers:
                 if reader[:PREFIX_SIZE] == writer[:PREFIX_SIZE]:
                     return True
@@ -325,7 +325,7 @@ class DdsProvider(ServiceProvider):
 
     def _readers_of(self, header: RequestHeader) -> list[Guid]:
         """Return the readers of replies that a client has; none if they are not matched yet."""
-        readers = self.ends.writer.readers
+        readers = self.ends.writer.matched
         if header.identity is not None:
             return [header.identity.writer] if header.identity.writer in readers else []
         # A header does not name the reader, so all of the client's participant get the answer.

@@ -49,7 +49,7 @@ class DdsPublisher(TopicPublisher):
             logger.error("%s: a message is lost: %s", self.end.topic, exc)
 
     def reader_count(self) -> int:
-        return len(self.end.readers)
+        return len(self.end.matched)
 
     def has_arrived(self, margin: int) -> bool:
         # Others acknowledge what waits in the queue of a reader, and may be pushed out of it.

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from fibaction.words.extras import NeedsExtra
+from fibaction.words.plain_data import is_list
 from fibaction_transports.cdr.standard_messages import TimeMessage
 from fibaction_transports.ros2.node.own_parameters import (
     ARRAY,
@@ -198,9 +199,8 @@ def _value_in(given: Override, number: int) -> Value:
             with NeedsExtra("a list of parameters", "fibaction[cli]"):
                 import yaml
             content = yaml.load(content, yaml.BaseLoader)
-        if number > ARRAY and isinstance(content, list):
-            texts: list[Any] = content
-            return [_scalar(one, number - ARRAY) for one in texts]
+        if number > ARRAY and is_list(content):
+            return [_scalar(one, number - ARRAY) for one in content]
     except (ValueError, TypeError, KeyError):
         pass
     expected = "true or false" if KINDS[number] == "bool" else f"a {KINDS[number]}"

@@ -43,6 +43,17 @@ class Matcher:
             if data.guid.is_reader == isinstance(endpoint, DataWriter):
                 self._match(endpoint, data, now)
 
+    def match_own(self, endpoint: DataWriter | DataReader, now: float) -> None:
+        """Match a new endpoint with the others of this participant."""
+        is_writer = isinstance(endpoint, DataWriter)
+        writers = [endpoint] if is_writer else self._local.user_writers()
+        readers = self._local.user_readers() if is_writer else [endpoint]
+        for writer in writers:
+            for reader in readers:
+                is_same = (writer.topic, writer.type_name) == (reader.topic, reader.type_name)
+                if is_same and not mismatches(writer.qos, reader.qos):
+                    writer.match_own(reader, now)
+
     def match_remote(self, data: EndpointData, now: float) -> None:
         """Match a new endpoint of another participant with those of this one."""
         for endpoint in self._local_opposites(data.guid):

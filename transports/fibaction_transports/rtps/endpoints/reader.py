@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from msgspec.structs import replace
 
-from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.history import StoredSample
+from fibaction_transports.rtps.endpoints.sample import Sample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
 from fibaction_transports.rtps.events import CaughtUp
@@ -17,6 +18,9 @@ from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
+
+if TYPE_CHECKING:
+    from fibaction_transports.rtps.endpoints.writer import DataWriter
 
 
 class EarlyHeartbeats:
@@ -94,6 +98,8 @@ class DataReader:
         self._deliver = deliver
         self.proxies: dict[Guid, WriterProxy] = {}
         """The matched writers of other participants, which take what is received of them."""
+        self.own_writers: dict[Guid, DataWriter] = {}
+        """The matched writers of the same participant."""
         self.confirmed_writers: set[Guid] = set()
         """The matched writers that have found this reader, too, as far as they tell: reliable ones
         send heartbeats, and only to readers that they have found.
@@ -101,15 +107,15 @@ class DataReader:
 
     @property
     def writers(self) -> list[Guid]:
-        """The matched writers of other participants."""
-        return list(self.proxies)
+        """All matched writers."""
+        return [*self.proxies, *self.own_writers]
 
     def is_complete(self, writer: Guid) -> bool:
         """Return whether a writer has told which samples it has, and all of them have come; False
         if it is not matched.
         """
         proxy = self.proxies.get(writer)
-        return proxy is not None and proxy.is_complete
+        return writer in self.own_writers if proxy is None else proxy.is_complete
 
     def match(
         self,
@@ -143,6 +149,18 @@ class DataReader:
             proxy.close()
         return proxy is not None
 
+    def take_own(self, writer: Guid, number: int, stored: StoredSample, now: float) -> None:
+        """Take a sample of a writer of the same participant, if it is for this reader."""
+        if stored.only_to in (None, self.guid):
+            content = unpadded(stored.payload)
+            sample = Sample(writer, number, content, stored.inline_qos, stored.time)
+            self._deliver(self.guid, sample, now)
+
+    def unmatch_own(self, writer: DataWriter) -> None:
+        """Forget a writer of the same participant."""
+        del self.own_writers[writer.guid], writer.own_readers[self.guid]
+        self.confirmed_writers.discard(writer.guid)
+
     def ask(self, now: float) -> None:
         """Ask every writer for its newest samples, without waiting for its heartbeat.
 
@@ -173,5 +191,7 @@ class DataReader:
 
     def close(self) -> None:
         """Forget all writers."""
-        for writer in self.writers:
+        for writer in [*self.proxies]:
             self.unmatch(writer)
+        for own in [*self.own_writers.values()]:
+            self.unmatch_own(own)

@@ -8,6 +8,7 @@ from collections.abc import Container, Sequence
 
 from fibaction.words.errors import LimitReached
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
+from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.reader_proxy import SILENCE, ReaderProxy
 from fibaction_transports.rtps.endpoints.sample import padded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
@@ -43,8 +44,15 @@ class DataWriter:
         self._history = History(qos.depth, shared.limits)
         self.readers: dict[Guid, ReaderProxy] = {}
         """The matched readers of other participants."""
+        self.own_readers: dict[Guid, DataReader] = {}
+        """Those of this participant, which take samples without the network."""
         self._pause = FIRST_HEARTBEAT
         self._expiries: deque[tuple[float, int]] = deque()
+
+    @property
+    def matched(self) -> list[Guid]:
+        """All matched readers."""
+        return [*self.readers, *self.own_readers]
 
     @property
     def last(self) -> int:
@@ -134,6 +142,8 @@ class DataWriter:
             is_awaited |= proxy.is_reliable and (
                 now - proxy.waits_since <= SILENCE or not proxy.has_unacknowledged(number)
             )
+        for reader in self.own_readers.values():
+            reader.take_own(self.guid, number, sample, now)
         self._pause = FIRST_HEARTBEAT
         self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         if not is_awaited:
@@ -155,6 +165,17 @@ class DataWriter:
             self._shared.timers.set_earlier(self.on_heartbeat_due, now + self._pause)
         elif is_late:
             proxy.send(range(self._history.first, self.last + 1), now)
+
+    def match_own(self, reader: DataReader, now: float) -> None:
+        """Give samples to a reader of the same participant from now on, and those that are kept if
+        both are transient local.
+        """
+        self.own_readers[reader.guid] = reader
+        reader.own_writers[self.guid] = self
+        reader.confirmed_writers.add(self.guid)
+        if self.qos.is_transient_local and reader.qos.is_transient_local:
+            for number, sample in self._history.samples.items():
+                reader.take_own(self.guid, number, sample, now)
 
     def unmatch(self, reader: Guid, now: float) -> bool:
         """Forget a reader; return whether it was matched."""
@@ -188,6 +209,8 @@ class DataWriter:
     def close(self) -> None:
         """Forget all readers, and send nothing any more."""
         self.readers.clear()
+        for reader in [*self.own_readers.values()]:
+            reader.unmatch_own(self)
         self._shared.timers.cancel(self.on_heartbeat_due)
 
     def _forget(self, now: float) -> None:
