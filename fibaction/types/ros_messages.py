@@ -75,6 +75,11 @@ encode = msgspec.msgpack.Encoder(enc_hook=plain).encode
 """Turns a value with ROS messages and arrays in it into bytes."""
 
 
+def plain_value(value: Any) -> Any:
+    """Return a value with ROS messages in it as plain data."""
+    return msgspec.msgpack.decode(encode(value))
+
+
 def encoded(value: Any, declared: Any, ros_type: str, encoding: Encoding) -> bytes | None:
     """Encode a value that its encoding cannot encode; None if it is not one for here.
 

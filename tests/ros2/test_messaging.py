@@ -13,6 +13,7 @@ import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Float32MultiArray, String
 
 from fibaction import ConnectionLost, TransportError
@@ -81,6 +82,34 @@ async def test_numbers_arrive_as_an_array(scheme: str) -> None:
         await until(scan.publisher_count)  # before, it loses what is sent with best effort
         writer.publish(Float32MultiArray(data=[0.5, 1.5]))
         assert list((await scan.next()).data) == [0.5, 1.5]
+
+
+async def test_a_publisher_that_keeps_all_waits_for_its_reader(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, _):
+        slow = node.subscribe("chatter", STRING, qos="keep_all", depth=4)
+        publisher = node.publisher("chatter", STRING, qos="keep_all", depth=4)
+        await until(lambda: publisher.reader_count() and slow.publisher_count())
+        async with anyio.create_task_group() as tasks:
+
+            async def publish() -> None:
+                for number in range(300):
+                    await publisher.publish({"data": str(number)}, timeout=PATIENCE)
+
+            tasks.start_soon(publish)
+            await anyio.wait_all_tasks_blocked()
+            found = [(await slow.next(PATIENCE)).data for _ in range(300)]
+        assert found == [str(number) for number in range(300)]
+        assert slow.dropped == 0
+
+
+async def test_a_topic_of_rclpy_is_followed_with_its_quality_of_service(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        writer = stock.create_publisher(String, node.full_name("scan"), qos_profile_sensor_data)
+        with await node.follow("scan", timeout=PATIENCE) as scan:
+            await until(writer.get_subscription_count)
+            await until(scan.publisher_count)
+            writer.publish(String(data="theirs"))
+            assert (await scan.next(PATIENCE)).data == "theirs"
 
 
 async def test_services_are_called_and_served(scheme: str) -> None:

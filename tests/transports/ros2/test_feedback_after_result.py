@@ -48,6 +48,10 @@ class Node:
         return SimpleNamespace(send=lambda request: 1, forget=lambda number: None)
 
 
+def no_pause(reader: Any, is_paused: bool) -> None:
+    """Pause nothing."""
+
+
 def ended(
     catch_up: Callable[[Callable[[], None]], None], known: ReceivedStatuses | None = None
 ) -> tuple[FollowedGoals, RosGoalStream]:
@@ -114,7 +118,7 @@ def test_a_middleware_that_cannot_tell_counts_as_caught_up() -> None:
 def test_a_subscription_that_was_asked_again_waits_for_the_later_answer() -> None:
     called = list[int]()
     reader: Any = SimpleNamespace(is_catching_up=True, topic="rt/a", qos=Qos())
-    subscription = DdsSubscription(reader, lambda *_: None, lambda of: of.is_catching_up)
+    subscription = DdsSubscription(reader, lambda *_: None, lambda of: of.is_catching_up, no_pause)
     subscription.when_caught_up(lambda: called.append(1))
     subscription.note_caught_up()
     assert called == []
@@ -138,7 +142,7 @@ async def test_feedback_that_a_server_kept_no_longer_is_counted_by_the_numbers_o
 ) -> None:
     followed, stream = ended(lambda then: None)
     reader: Any = SimpleNamespace(topic="rt/a/_action/feedback", qos=RELIABLE)
-    subscription = DdsSubscription(reader, followed.take_feedback, lambda _: False)
+    subscription = DdsSubscription(reader, followed.take_feedback, lambda _: False, no_pause)
     subscription.tell_lost(followed.note_lost)
     numbered(subscription, 7, 8, 12, 13)
 
@@ -164,5 +168,5 @@ async def test_feedback_that_is_lost_before_the_first_of_a_goal_is_not_its_own()
 
 def test_a_topic_of_latest_messages_may_skip_some(caplog: pytest.LogCaptureFixture) -> None:
     reader: Any = SimpleNamespace(topic="rt/status", qos=Qos(durability=Durability.TRANSIENT_LOCAL))
-    numbered(DdsSubscription(reader, lambda *_: None, lambda _: False), 1, 9)
+    numbered(DdsSubscription(reader, lambda *_: None, lambda _: False, no_pause), 1, 9)
     assert caplog.messages == []

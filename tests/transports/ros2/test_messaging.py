@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
@@ -25,7 +26,9 @@ from fibaction.interfaces.files import read_message
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, open_node
+from fibaction_transports.ros2.messaging import node as messaging_node
 from fibaction_transports.ros2.messaging import services, subscription
+from fibaction_transports.ros2.messaging.node import topic_values
 from fibaction_transports.ros2.node.own_parameters import written
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
@@ -102,7 +105,7 @@ async def test_a_slow_reader_gets_the_newest_messages_and_those_it_missed_are_co
         await until(lambda: heard.latest is not None and heard.latest.data == "4")
         assert [(await heard.next()).data for _ in range(2)] == ["3", "4"]
         assert heard.dropped == 3
-        assert "2 messages were not read before newer ones came" in caplog.text
+        assert "/chatter was dropped (2 so far): newer ones came before it was read" in caplog.text
 
 
 async def test_a_typed_subscription_gives_values_of_its_class(scheme: str) -> None:
@@ -147,8 +150,130 @@ async def test_wrong_types_names_and_fields_are_told_in_a_sentence(scheme: str) 
             robot.subscribe("goal", Foreign)
         with pytest.raises(ValueError, match=r"'fast' is not one of .*, nor one of default"):
             robot.subscribe("goal", STRING, qos="fast")
+        for qos, problem in (
+            (EndQos(reliability="keep_all"), "'keep_all' is no reliability"),
+            ("keep_all,transient_local", "keep_all with transient_local would keep every message"),
+            ("keep_all,keep_last", "two words for history"),
+            (EndQos(depth=0), "depth must be at least 1"),
+        ):
+            with pytest.raises(ValueError, match=problem):
+                robot.subscribe("goal", STRING, qos=qos)
+        with pytest.raises(TypeError, match=r"qos is a text such as .*, and not None"):
+            robot.publisher("goal", STRING, qos=None)  # type: ignore[call-overload]  # that is the test
         with pytest.raises(ValueError, match="depth must be at least 1"):
             robot.subscribe("goal", STRING, depth=0)
+        for name, problem in (
+            (
+                "{robot}/goal",
+                "'{robot}/goal' is not a valid name in ROS: {robot} is not {node}",
+            ),
+            ("goal/", "it has names of letters, digits and _ between slashes"),
+            ("/" + "a" * 247, "it has 248 characters of 247 at most"),
+        ):
+            with pytest.raises(TransportError, match=re.escape(problem)):
+                robot.subscribe(name, STRING)
+
+
+async def test_a_publisher_that_keeps_all_waits_for_a_slow_reader_and_for_no_one_else(
+    scheme: str,
+) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        slow = planner.subscribe("chatter", STRING, qos="keep_all", depth=4)
+        quick = planner.subscribe("chatter", STRING, depth=500)
+        publisher = robot.publisher("chatter", STRING, qos="keep_all", depth=8)
+        other = robot.publisher("chatter", STRING)
+        await until(lambda: publisher.reader_count() == 2)
+        await until(lambda: slow.publisher_count() == 2)
+        reader, sent = quick, 0
+        if scheme == "dds://":  # over Zenoh, a publisher waits for the network alone
+            with pytest.raises(TimeoutError, match=r"readers have taken too little of .*/chatter"):
+                while True:
+                    await publisher.publish({"data": str(sent)}, timeout=0.2)
+                    sent += 1
+            assert 8 <= sent < 300
+            await until(lambda: quick.latest.data == str(sent - 1) if quick.latest else False)
+            await other.publish({"data": "other"})
+            await until(lambda: quick.latest.data == "other" if quick.latest else False)
+            reader = slow
+        async with anyio.create_task_group() as tasks:
+
+            async def publish() -> None:
+                for number in range(sent, 400):
+                    await publisher.publish({"data": str(number)}, timeout=PATIENCE)
+
+            tasks.start_soon(publish)
+            found: list[str] = []
+            while len(found) < 400:
+                text = (await reader.next(PATIENCE)).data
+                found += [text] * (text != "other")
+        assert found == [str(number) for number in range(400)]
+        assert (reader.dropped, quick.dropped) == (0, 0)
+
+
+async def test_a_publisher_that_waits_learns_that_it_was_closed(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, _):
+        publisher = robot.publisher("chatter", STRING, qos="keep_all")
+        publisher._part.has_room = lambda: publisher._is_closed  # type: ignore[method-assign]  # it is full
+        async with anyio.create_task_group() as tasks:
+
+            async def is_told() -> None:
+                with pytest.raises(anyio.ClosedResourceError):
+                    await publisher.publish({})
+
+            tasks.start_soon(is_told)
+            await anyio.wait_all_tasks_blocked()
+            publisher.close()
+
+
+async def test_the_newest_message_of_a_topic_and_any_topic_are_read_without_a_subscription(
+    scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        weak = robot.publisher("map", STRING, qos="best_effort")
+        assert planner.latest("map", STRING, qos="sensor_data") is None
+        await weak.wait_for_reader(PATIENCE)
+        found = None
+        while not found:  # until the reader knows the publisher, it takes nothing of it
+            for text in ("a", "b", "c"):
+                await weak.publish({"data": text})
+            await anyio.sleep(0.01)
+            found = planner.latest("map", STRING, qos="sensor_data")
+        assert found.data == "c"
+        assert "dropped" not in caplog.text
+        topics = await planner.settled(lambda view: dict(view.topics()))
+        assert topics[weak.topic] == STRING
+        with await planner.follow("map", timeout=PATIENCE) as any_of_it:
+            await until(lambda: weak.reader_count() == 2)
+            await until(any_of_it.publisher_count)
+            await weak.publish({"data": "d"})
+            assert (await any_of_it.next(PATIENCE)).data == "d"
+        latched = robot.publisher("latched", STRING, qos="transient_local")
+        await latched.publish({"data": "kept"})
+        async with topic_values(
+            f"{scheme}console", latched.topic, arguments=[], timeout=PATIENCE
+        ) as values:
+            assert await anext(values) == {"data": "kept"}
+
+
+async def test_clients_of_services_give_way_that_no_one_uses(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(messaging_node, "MOST_CALLERS", 2)
+
+    async def never(request: Any) -> None:
+        await anyio.sleep_forever()
+
+    async with two_nodes(scheme) as (robot, planner):
+        with robot.serve_service("slow", BOOL, never):
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(planner.call, "slow", BOOL)
+                await anyio.wait_all_tasks_blocked()
+                for number in range(4):
+                    with robot.serve_service(f"s{number}", BOOL, lambda request: None):
+                        await planner.call(f"s{number}", BOOL, timeout=PATIENCE)
+                used = [name.rpartition("/")[2] for name, _ in planner._callers]
+                assert used == ["slow", "s3"]
+                tasks.cancel_scope.cancel()
 
 
 async def test_a_closed_end_is_gone_from_the_graph_and_says_so(scheme: str) -> None:
@@ -217,6 +342,12 @@ async def test_what_keeps_messages_away_is_told(
         other = planner.subscribe("map", "std_msgs/msg/Int32")
         with pytest.raises(TimeoutError, match="another version of std_msgs/msg/Int32"):
             await other.next(0.05)
+        if scheme == "dds://":  # over Zenoh they hear each other
+            only = robot.publisher("weak", STRING, qos="best_effort")
+            planner.subscribe("weak", STRING)
+            await until(lambda: robot._ros.subscriptions(only.topic))
+            with pytest.raises(TimeoutError, match=r"offers best_effort, and .* wants reliable"):
+                await only.wait_for_reader(0.05)
         with pytest.raises(TimeoutError, match=r"nobody has subscribed to .*/alone in 0.05 s"):
             await robot.publisher("alone", STRING).wait_for_reader(0.05)
         silent = planner.subscribe("map", STRING)

@@ -59,7 +59,7 @@ class Network:
         self.is_full = False
         self.participant = SimpleNamespace(vendor_of=VENDORS.get)
         writer = SimpleNamespace(
-            guid=writer_of(OWN), topic="requests", readers=[reader_of(one) for one in others]
+            guid=writer_of(OWN), topic="requests", matched=[reader_of(one) for one in others]
         )
         reader = SimpleNamespace(
             guid=reader_of(OWN),

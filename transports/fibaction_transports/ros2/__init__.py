@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
-    from fibaction_transports.ros2.messaging.node import Node, open_node
+    from fibaction_transports.ros2.messaging.node import Node, open_node, topic_values
     from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
     from fibaction_transports.ros2.messaging.publisher import Publisher
     from fibaction_transports.ros2.messaging.subscription import Subscription
     from fibaction_transports.ros2.messaging.transform_buffer import Transform
+    from fibaction_transports.ros2.qos import EndQos
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
     from fibaction_transports.ros2.zenoh_transport import ZenohTransport
 
 __all__ = [
     "DdsTransport",
+    "EndQos",
     "Node",
     "OwnParameters",
     "Publisher",
@@ -26,10 +28,12 @@ __all__ = [
     "Transform",
     "ZenohTransport",
     "open_node",
+    "topic_values",
 ]
 
 _MODULES = {
     "DdsTransport": "dds_transport",
+    "EndQos": "qos",
     "Node": "messaging.node",
     "OwnParameters": "messaging.parameters",
     "Publisher": "messaging.publisher",
@@ -37,6 +41,7 @@ _MODULES = {
     "Subscription": "messaging.subscription",
     "Transform": "messaging.transform_buffer",
     "open_node": "messaging.node",
+    "topic_values": "messaging.node",
     "Ros2Transport": "ros2_transport",
     "ZenohTransport": "zenoh_transport",
 }

@@ -11,8 +11,10 @@ only the length of the queue of one reader or writer.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 REQUEST_DEPTH = 1000
 """Requests, or answers, that may wait to be taken. rcl_action's 10 overflow when 11 arrive at once,
@@ -28,6 +30,7 @@ _POLICIES = {
     "volatile": "durability",
     "transient_local": "durability",
 }
+_TOPIC_POLICIES = {**_POLICIES, "keep_last": "history", "keep_all": "history"}
 
 
 class EndQos(Struct, frozen=True, kw_only=True):
@@ -37,15 +40,23 @@ class EndQos(Struct, frozen=True, kw_only=True):
     """`reliable` or `best_effort`."""
     durability: str = "volatile"
     """`volatile` or `transient_local`."""
+    history: str = "keep_last"
+    """`keep_last`, or `keep_all` for back-pressure: a reliable publisher waits for its readers."""
     depth: int = 10
-    """The newest messages that are kept."""
+    """The newest messages that are kept; with `keep_all`, those that wait before others wait."""
     lease: float = math.inf
     """Seconds within which a publisher gives a sign of life; infinity for none."""
     lifespan: float = math.inf
     """Seconds after which a message is too old for a late subscription."""
 
+    @property
+    def room(self) -> float:
+        """The messages of a publisher that may wait for readers; infinity if none waits."""
+        waits = (self.history, self.reliability) == ("keep_all", "reliable")
+        return self.depth if waits else math.inf
 
-def policies(text: str) -> dict[str, str]:
+
+def policies(text: str, known: Mapping[str, str] = _POLICIES) -> dict[str, str]:
     """Return the policies in a setting: words of ROS with commas, for example
     `best_effort,volatile`. An empty text changes nothing.
 
@@ -54,10 +65,10 @@ def policies(text: str) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for word in filter(None, (part.strip() for part in text.split(","))):
-        if word not in _POLICIES:
-            raise ValueError(f"{word!r} is not one of {', '.join(_POLICIES)}")
-        if found.setdefault(_POLICIES[word], word) != word:
-            raise ValueError(f"{text!r} has two words for {_POLICIES[word]}")
+        if word not in known:
+            raise ValueError(f"{word!r} is not one of {', '.join(known)}")
+        if found.setdefault(known[word], word) != word:
+            raise ValueError(f"{text!r} has two words for {known[word]}")
     return found
 
 
@@ -67,8 +78,16 @@ _LEVELS = {
 }
 """The levels of each policy. An end that offers the first does not match one that wants the second.
 """
-_PROFILES = {"": "", "default": "", "sensor_data": "best_effort,volatile"}
-"""The profiles of ROS by their names, as words."""
+_PROFILES = {
+    "": EndQos(),
+    "default": EndQos(),
+    "sensor_data": EndQos(reliability="best_effort", depth=5),
+    "parameters": EndQos(depth=1000),
+    "parameter_events": EndQos(depth=1000),
+    "services": EndQos(),
+    "clock": EndQos(reliability="best_effort", depth=1),
+}
+"""The profiles of ROS by their names."""
 
 
 def unmet(offered: EndQos, wanted: EndQos) -> list[str]:
@@ -80,19 +99,61 @@ def unmet(offered: EndQos, wanted: EndQos) -> list[str]:
     ]
 
 
-def of_topic(words: str, depth: int) -> EndQos:
-    """Return the quality of service of a topic: a profile of ROS by its name, or words.
+def difference(offered: EndQos, wanted: EndQos) -> tuple[str, str] | None:
+    """Return the words in which a publisher and a subscription do not match; None if they do."""
+    policies = unmet(offered, wanted)
+    if not policies:
+        return None
+    return (
+        ", ".join(getattr(offered, policy) for policy in policies),
+        ", ".join(getattr(wanted, policy) for policy in policies),
+    )
+
+
+def of_topic(given: object, depth: int | None = None) -> EndQos:
+    """Return the quality of service of a topic: a profile of ROS by its name, words, or all of it.
 
     Raises:
-        ValueError: A word is not known, or the depth is not positive.
+        TypeError: It is neither a text nor an `EndQos`.
+        ValueError: A word is not known, the depth is not positive, or two values contradict each
+            other.
     """
-    if depth < 1:
-        raise ValueError(f"depth must be at least 1, not {depth}")
-    try:
-        return _qos(_PROFILES.get(words, words), EndQos(depth=depth))
-    except ValueError as exc:
-        known = ", ".join(name for name in _PROFILES if name)
-        raise ValueError(f"qos: {exc}, nor one of {known}") from None
+    if isinstance(given, EndQos):
+        found = given
+    elif not isinstance(given, str):
+        raise TypeError(f"qos is a text such as 'best_effort' or an EndQos, and not {given!r}")
+    elif given in _PROFILES:
+        found = _PROFILES[given]
+    else:
+        try:
+            found = EndQos(**policies(given, _TOPIC_POLICIES))  # type: ignore[arg-type]  # texts only
+        except ValueError as exc:
+            known = ", ".join(filter(None, _PROFILES))
+            raise ValueError(f"qos: {exc}, nor one of {known}") from None
+    if depth is not None:
+        found = replace(found, depth=depth)
+    for policy in ("reliability", "durability", "history"):
+        word = getattr(found, policy)
+        if _TOPIC_POLICIES.get(word) != policy:
+            raise ValueError(f"qos: {word!r} is no {policy}")
+    if found.depth < 1:
+        raise ValueError(f"depth must be at least 1, not {found.depth}")
+    if (found.history, found.durability) == ("keep_all", "transient_local"):
+        raise ValueError(
+            "qos: keep_all with transient_local would keep every message: use a depth instead"
+        )
+    return found
+
+
+def suiting(offers: Iterable[EndQos]) -> str:
+    """Return the words with which a subscription matches all publishers, as `ros2 topic echo`
+    chooses them: it asks for what all of them offer.
+    """
+    offers = [*offers]
+    return ",".join(
+        levels[bool(offers) and all(getattr(one, policy) == levels[1] for one in offers)]
+        for policy, levels in _LEVELS.items()
+    )
 
 
 def are_reliable(words: str) -> bool:

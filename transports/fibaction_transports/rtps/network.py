@@ -192,6 +192,11 @@ class ParticipantNetwork:
         self.settle()
         return takes_time
 
+    def pause(self, reader: DataReader, is_paused: bool) -> None:
+        """Hold samples of reliable writers back, or take them, as `DataReader.pause` describes."""
+        reader.pause(self._loop.time(), is_paused=is_paused)
+        self.settle()
+
     def ask_types(self, prefix: bytes, type_ids: Sequence[bytes]) -> int:
         """Ask another participant about types, as `TypeLookup.ask` describes."""
         number = self.participant.ask_types(prefix, type_ids, self._loop.time())

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Generator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
+from contextlib import aclosing, asynccontextmanager, contextmanager
 from inspect import isawaitable
 from typing import Any, Final, TypeVar, overload
 
@@ -13,8 +13,10 @@ from anyio.abc import TaskGroup
 from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for
+from fibaction.types.ros_messages import plain_value
 from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.client.endpoint import GraphLooks
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
 from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import Publisher
@@ -23,15 +25,17 @@ from fibaction_transports.ros2.messaging.shared import PartsOfBlock
 from fibaction_transports.ros2.messaging.subscription import Subscription
 from fibaction_transports.ros2.messaging.transform_buffer import Transform
 from fibaction_transports.ros2.messaging.transforms import TransformReader
+from fibaction_transports.ros2.node.graph_view import GraphView
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
+from fibaction_transports.ros2.qos import EndQos, suiting
 from fibaction_transports.ros2.ros_transport import RosTransport
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import RosSettings
 
 T = TypeVar("T")
 
-QUEUE: Final = 10
-"""Messages that wait for a slow reader, as in ROS."""
+MOST_CALLERS: Final = 64
+"""Clients of services that are kept for the next call; then those give way that are idle."""
 
 
 class Node(RosTransport):
@@ -47,6 +51,8 @@ class Node(RosTransport):
         self.scheme = scheme
         self._ros = ros
         self._transforms: TransformReader | None = None
+        self._looks = GraphLooks(ros, settings.discovery_timeout)
+        self._newest: dict[tuple[str, ...], Subscription[Any]] = {}
         self._callers: dict[tuple[str, str], CalledService] = {}
         self._tasks = tasks
 
@@ -59,14 +65,19 @@ class Node(RosTransport):
 
     @overload
     def subscribe(
-        self, topic: str, type_: type[T], *, qos: str = "", depth: int = QUEUE
+        self, topic: str, type_: type[T], *, qos: str | EndQos = "", depth: int | None = None
     ) -> Subscription[T]: ...
     @overload
     def subscribe(
-        self, topic: str, type_: str, *, qos: str = "", depth: int = QUEUE
+        self, topic: str, type_: str, *, qos: str | EndQos = "", depth: int | None = None
     ) -> Subscription[Any]: ...
     def subscribe(
-        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = QUEUE
+        self,
+        topic: str,
+        type_: str | type[Any],
+        *,
+        qos: str | EndQos = "",
+        depth: int | None = None,
     ) -> Subscription[Any]:
         """Subscribe to a topic, until the subscription is closed or the node.
 
@@ -74,13 +85,16 @@ class Node(RosTransport):
             topic: The name.
             type_: The type, such as `nav_msgs/msg/Odometry`; or a class that is made from it, for
                 typed messages.
-            qos: `sensor_data`, or words of ROS with commas: `reliable` or `best_effort`, `volatile`
-                or `transient_local`.
-            depth: The messages that wait for a slow reader; then the oldest gives way.
+            qos: `sensor_data` or another profile of ROS; words of ROS with commas: `reliable` or
+                `best_effort`, `volatile` or `transient_local`, `keep_last` or `keep_all`; or all of
+                it.
+            depth: The messages that wait for a slow reader; then the oldest gives way. Without it,
+                that of the profile, or 10.
 
         Raises:
             TransportError: The type is not known here, or ROS does not allow the name.
             ValueError: The quality of service is not one of ROS.
+            TypeError: It is neither a text nor an `EndQos`.
             ConnectionLost: The node was closed, or cannot reach ROS any more.
         """
         return Subscription(*self._end(topic, type_, qos, depth))
@@ -106,22 +120,57 @@ class Node(RosTransport):
         raise TimeoutError(f"no node has had the topic {name} in {timeout:g} s")
 
     async def next(
-        self, topic: str, type_: str, *, qos: str = "", timeout: float | None = None
+        self, topic: str, type_: str, *, qos: str | EndQos = "", timeout: float | None = None
     ) -> Any:
         """Subscribe to a topic until its next message, and return that; see `Subscription.next`."""
         with self.subscribe(topic, type_, qos=qos, depth=1) as messages:
             return await messages.next(timeout)
 
+    def latest(self, topic: str, type_: str, *, qos: str | EndQos = "") -> Any | None:
+        """Return the newest message of a topic, which is read from the first call on; None if none
+        has arrived yet. The errors are those of `subscribe`.
+        """
+        key = self._ros.resolve(topic), type_, str(qos)
+        found = self._newest.get(key)
+        if found is None:
+            found = self._newest[key] = self.subscribe(topic, type_, qos=qos, depth=1)
+            found.is_sampled = True
+        return found.latest
+
+    async def follow(
+        self, topic: str, *, qos: str = "", depth: int = 10, timeout: float | None = None
+    ) -> Subscription[Any]:
+        """Wait until a topic is in the graph, and subscribe as `ros2 topic echo` does: to the type
+        of its publishers, and with a quality of service that suits all of them unless one is given.
+        The errors are those of `type_of` and `subscribe`.
+        """
+        type_name = await self.type_of(topic, timeout=timeout)
+        offers = [end.qos for end in self._ros.publishers(self._ros.resolve(topic))]
+        return self.subscribe(topic, type_name, qos=qos or suiting(offers), depth=depth)
+
+    async def settled(self, look: Callable[[GraphView], T]) -> T:
+        """Return what is found in the graph once discovery is complete: see `GraphView`.
+
+        Raises:
+            ConnectionLost: The node was closed.
+        """
+        return await self._looks.settled(look)
+
     @overload
     def publisher(
-        self, topic: str, type_: type[T], *, qos: str = "", depth: int = QUEUE
+        self, topic: str, type_: type[T], *, qos: str | EndQos = "", depth: int | None = None
     ) -> Publisher[T]: ...
     @overload
     def publisher(
-        self, topic: str, type_: str, *, qos: str = "", depth: int = QUEUE
+        self, topic: str, type_: str, *, qos: str | EndQos = "", depth: int | None = None
     ) -> Publisher[Any]: ...
     def publisher(
-        self, topic: str, type_: str | type[Any], *, qos: str = "", depth: int = QUEUE
+        self,
+        topic: str,
+        type_: str | type[Any],
+        *,
+        qos: str | EndQos = "",
+        depth: int | None = None,
     ) -> Publisher[Any]:
         """Announce a publisher of a topic; the arguments and errors are those of `subscribe`.
 
@@ -129,11 +178,13 @@ class Node(RosTransport):
         """
         return Publisher(*self._end(topic, type_, qos, depth))
 
-    def _end(self, topic: str, type_: str | type[Any], words: str, depth: int) -> Any:
+    def _end(
+        self, topic: str, type_: str | type[Any], given: str | EndQos, depth: int | None
+    ) -> Any:
         self._ros.raise_if_lost()
         found = self._ros.types.topic_type(type_name_of(type_))
         form = MessageForm(found.kind, type_)
-        return self._ros, self._ros.resolve(topic), found, form, qos.of_topic(words, depth)
+        return self._ros, self._ros.resolve(topic), found, form, qos.of_topic(given, depth)
 
     async def transform(
         self, frame: str, target: str, *, at: float | None = None, timeout: float | None = None
@@ -188,13 +239,18 @@ class Node(RosTransport):
             TimeoutError: There was no server, or no answer, in the seconds of the timeout.
             ConnectionLost: The node, or the server, has gone.
         """
-        name = self._ros.resolve(service)
-        caller = self._callers.get((name, type_))
+        return await self._caller(self._ros.resolve(service), type_).call(request, timeout)
+
+    def _caller(self, name: str, type_: str) -> CalledService:
+        caller = self._callers.pop((name, type_), None)
         if caller is None:
             self._ros.raise_if_lost()
+            for key in [key for key, one in self._callers.items() if one.is_idle]:
+                if len(self._callers) >= MOST_CALLERS:
+                    self._callers.pop(key).close()
             caller = CalledService(self._ros, name, self._ros.types.called_type(type_))
-            self._callers[name, type_] = caller
-        return await caller.call(request, timeout)
+        self._callers[name, type_] = caller  # the last one, which gives way last
+        return caller
 
     @contextmanager
     def serve_service(
@@ -277,3 +333,25 @@ async def open_node(where: str | NodeTransport, **settings: Any) -> AsyncGenerat
         raise InvalidURL(f"{where}: a node of ROS is at ros2://, dds:// or zenoh://")
     async with transport.open_node() as node:
         yield node
+
+
+@asynccontextmanager
+async def topic_values(
+    where: str | NodeTransport,
+    topic: str,
+    *,
+    qos: str = "",
+    timeout: float | None = None,
+    **settings: Any,
+) -> AsyncGenerator[AsyncIterator[Any], None]:
+    """Follow a topic of any type, for as long as the block lasts, with a node of its own: an
+    iterator of its messages as plain values, as a page or a log shows them.
+
+    They can be written as JSON, with bytes in base64. Only the newest message waits for a slow
+    reader. The arguments and errors are those of `open_node` and `Node.follow`.
+    """
+    async with open_node(where, **settings) as node:
+        with await node.follow(topic, qos=qos, depth=1, timeout=timeout) as messages:
+            messages.is_sampled = True
+            async with aclosing(plain_value(message) async for message in messages) as values:
+                yield values

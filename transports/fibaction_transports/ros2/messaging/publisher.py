@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import anyio
 
 from fibaction.border.streams import Closing
+from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm
 from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
 from fibaction_transports.ros2.qos import EndQos
@@ -18,22 +20,28 @@ class Publisher(Closing, Generic[T]):
     """A publisher of a topic. Messages leave in the order in which they are published."""
 
     def __init__(
-        self, ros: RosNode, topic: str, topic_type: TopicType, form: MessageForm, qos: EndQos
+        self, ros: RosNode, topic: str, topic_type: TopicType, form: MessageForm, end_qos: EndQos
     ) -> None:
         """Announce it; `Node.publisher` does it."""
         self.topic = topic
         """The full name of the topic."""
         self._ros = ros
         self._form = form
-        self._part = ros.publisher(topic, topic_type.message, qos)
+        self._qos = end_qos
+        self._part = ros.publisher(topic, topic_type.message, end_qos)
         self._is_closed = False
 
-    async def publish(self, message: T | dict[str, Any]) -> None:
+    async def publish(self, message: T | dict[str, Any], *, timeout: float | None = None) -> None:
         """Publish a message, or a dict with its fields; those that it leaves out have the defaults
-        of ROS. It does not wait for readers.
+        of ROS.
+
+        It does not wait for readers, which may miss messages if they are slow, unless the
+        publisher was made with `qos="keep_all"`: then it waits while reliable readers have not
+        taken the last `depth` messages. A reader that takes none for ten seconds is given up.
 
         Raises:
             ValueError: It does not fit the type; the text names the field.
+            TimeoutError: Readers have not taken enough in the seconds of the timeout.
             ConnectionLost: The node can send nothing any more.
             anyio.ClosedResourceError: The publisher was closed.
         """
@@ -41,9 +49,14 @@ class Publisher(Closing, Generic[T]):
             raise anyio.ClosedResourceError
         self._ros.raise_if_lost()
         try:
-            self._part.publish(self._form.to_ros(message))
+            made = self._form.to_ros(message)
         except ValueError as exc:
             raise ValueError(f"{self.topic}: {exc}") from exc
+        if not self._part.has_room():
+            await self._until(self._part.has_room, timeout, "readers have taken too little of")
+        if self._is_closed:
+            raise anyio.ClosedResourceError
+        self._part.publish(made)
         await anyio.lowlevel.checkpoint()  # a loop that publishes lets others have their turns
 
     def reader_count(self) -> int:
@@ -57,10 +70,21 @@ class Publisher(Closing, Generic[T]):
             TimeoutError: There was none in time.
             ConnectionLost: The node can send nothing any more.
         """
+        await self._until(self._part.reader_count, timeout, "nobody has subscribed to")
+
+    async def _until(self, look: Callable[[], object], timeout: float | None, problem: str) -> None:
         with anyio.move_on_after(timeout):
-            await self._ros.until(self._part.reader_count)
+            await self._ros.until(look)
             return
-        raise TimeoutError(f"nobody has subscribed to {self.topic} in {timeout:g} s")
+        raise TimeoutError(f"{problem} {self.topic} in {timeout:g} s{self._mismatch()}")
+
+    def _mismatch(self) -> str:
+        """Return the first difference of QoS that keeps a reader away, as both sides have it."""
+        for end in self._ros.subscriptions(self.topic):
+            if told := qos.difference(self._qos, end.qos):
+                offers, wants = told
+                return f": this publisher offers {offers}, and {end.node or 'a node'} wants {wants}"
+        return ""
 
     def close(self) -> None:
         """Remove the publisher from the graph. Closing twice does nothing."""

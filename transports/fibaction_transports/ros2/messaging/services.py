@@ -53,7 +53,18 @@ class CalledService:
             self._fail_all,
             lambda number: self._settle(number, _Answer(None, _unanswered(service))),
         )
-        ros.on_loss(self._fail_all)
+        self._forget = ros.on_loss(self._fail_all)
+        self._users = 0
+
+    @property
+    def is_idle(self) -> bool:
+        """True if no call is under way."""
+        return not self._users
+
+    def close(self) -> None:
+        """Remove the client, which is idle, from the graph."""
+        self._forget()
+        self._ros.remove(self._part)
 
     def _settle(self, number: int, answer: _Answer) -> None:
         if number in self._answers:  # else nobody waits for it any more
@@ -77,6 +88,13 @@ class CalledService:
             message = self._request.to_ros({} if request is None else request)
         except ValueError as exc:
             raise ValueError(f"{self._service}: {exc}") from exc
+        self._users += 1
+        try:
+            return await self._call(message, timeout)
+        finally:
+            self._users -= 1
+
+    async def _call(self, message: Any, timeout: float | None) -> Any:
         missing = f"its last {AT_ONCE} requests have no answers"
         with anyio.move_on_after(timeout):
             async with self._turns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final, Generic, Self, TypeVar
 
@@ -13,6 +14,7 @@ from fibaction.border.streams import Closing
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm
+from fibaction_transports.ros2.node.mailbox import Drops
 from fibaction_transports.ros2.node.parts import TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
 from fibaction_transports.ros2.qos import EndQos
@@ -31,7 +33,8 @@ class Subscription(Closing, Generic[T]):
 
     It is an async iterator, which ends when it is closed, and raises `ConnectionLost` when its node
     is. A reader that is slower than the topic gets the newest messages; those that it has missed
-    are counted. If several tasks read one subscription, each message goes to one of them.
+    are counted. With `qos="keep_all"`, publishers that keep all wait for it instead, over `dds://`
+    and `ros2://`. If several tasks read one subscription, each message goes to one of them.
     """
 
     def __init__(
@@ -40,30 +43,42 @@ class Subscription(Closing, Generic[T]):
         """Subscribe; `Node.subscribe` does it."""
         self.topic = topic
         """The full name of the topic."""
-        self.dropped = 0
-        """Messages that no one has read before newer ones took their places."""
+        self.is_sampled = False
+        """True if only the newest message counts, so that none is missed."""
         self._ros = ros
         self._type = topic_type.message
         self._form = form
         self._qos = qos
         self._queue: deque[bytes] = deque(maxlen=qos.depth)
+        self._drops = Drops(f"a message on {topic}")
+        self._is_paused = False
         self._newest: bytes | None = None
         self._news = Notifier()
         self._is_closed = False
         self._is_explained = False
         self._part: TopicSubscription = ros.subscription(topic, self._type, qos, self._take)
+        self._room = qos.room if self._part.can_pause else math.inf
+        if self._room < math.inf:
+            self._queue = deque(self._queue)
         self._forget = ros.on_loss(lambda error: self._news.notify())
 
+    @property
+    def dropped(self) -> int:
+        """Messages that no one has read before newer ones took their places."""
+        return self._drops.count
+
     def _take(self, message: bytes, publisher: bytes) -> None:
-        if len(self._queue) == self._qos.depth:
-            self.dropped += 1
-            if self.dropped & (self.dropped - 1) == 0:  # 1, 2, 4, 8 and so on
-                logger.info(
-                    "%s: %d messages were not read before newer ones came", self.topic, self.dropped
-                )
+        if len(self._queue) == self._queue.maxlen and not self.is_sampled:
+            self._drops.note("newer ones came before it was read")
         self._queue.append(message)
+        if len(self._queue) >= self._room and not self._is_paused:
+            self._pause(True)
         self._newest = message
         self._news.notify()
+
+    def _pause(self, is_paused: bool) -> None:
+        self._is_paused = is_paused
+        self._part.pause(is_paused)
 
     @property
     def latest(self) -> T | None:
@@ -94,6 +109,8 @@ class Subscription(Closing, Generic[T]):
 
     async def _next(self) -> T:
         while True:
+            if self._is_paused and len(self._queue) <= self._room // 2:
+                self._pause(False)
             if self._queue:
                 if (value := self._read(self._queue.popleft())) is not None:
                     return value
@@ -128,12 +145,8 @@ class Subscription(Closing, Generic[T]):
         if not ends:
             return "no node publishes it"
         for end in ends:
-            policies = qos.unmet(end.qos, self._qos)
-            if policies:
-                offers, wants = (
-                    ", ".join(getattr(one, policy) for policy in policies)
-                    for one in (end.qos, self._qos)
-                )
+            if told := qos.difference(end.qos, self._qos):
+                offers, wants = told
                 return (
                     f"{end.node or 'a node'} offers {offers}, and this subscription wants {wants}:"
                     f" subscribe with qos={offers.replace(' ', '')!r}"

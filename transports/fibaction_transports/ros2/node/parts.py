@@ -63,6 +63,12 @@ class TopicPublisher(ABC):
     def reader_count(self) -> int:
         """Return the number of subscriptions that are connected."""
 
+    def has_room(self) -> bool:
+        """Return whether a publisher that keeps all messages can take another one: as many as its
+        depth may wait for reliable readers. Others always can.
+        """
+        return True
+
     def has_arrived(self, margin: int) -> bool:
         """Return whether all messages but the newest ones, up to the margin, are known to have been
         taken by all readers. By default that is not known.
@@ -76,6 +82,12 @@ class TopicSubscription(ABC):
     @abstractmethod
     def publisher_count(self) -> int:
         """Return the number of publishers that are connected."""
+
+    can_pause: bool = False
+    """True if `pause` has an effect."""
+
+    def pause(self, is_paused: bool, /) -> None:  # noqa: B027  # the middleware may not have it
+        """Leave messages with their publishers, which may then wait, or take them again."""
 
     def tell_lost(  # noqa: B027  # rclpy does not tell
         self, take: Callable[[int], None]

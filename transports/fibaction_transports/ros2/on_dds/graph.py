@@ -63,7 +63,7 @@ def dds_qos(qos: EndQos) -> Qos:
     return Qos(
         reliability=Reliability[qos.reliability.upper()],
         durability=Durability[qos.durability.upper()],
-        depth=qos.depth,
+        depth=None if qos.history == "keep_all" else qos.depth,
         lifespan=qos.lifespan,
         liveliness_lease=qos.lease,
     )
@@ -73,6 +73,7 @@ def _end_qos(qos: Qos) -> EndQos:
     return EndQos(
         reliability="reliable" if qos.is_reliable else "best_effort",
         durability="transient_local" if qos.is_transient_local else "volatile",
+        history="keep_last" if qos.depth else "keep_all",
         depth=qos.depth or 0,
         lease=qos.liveliness_lease,
     )

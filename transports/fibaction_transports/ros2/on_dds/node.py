@@ -110,7 +110,7 @@ class DdsNode(OwnNode):
 
     def publisher(self, topic: str, message_type: MessageType, qos: EndQos) -> DdsPublisher:
         writer = self._writer(topic_name(topic), message_type, qos)
-        return DdsPublisher(writer, message_type, self.network.write)
+        return DdsPublisher(writer, message_type, self.network.write, qos.room)
 
     def subscription(
         self,
@@ -122,7 +122,7 @@ class DdsNode(OwnNode):
         is_first: bool = False,
     ) -> DdsSubscription:
         reader = self._reader(topic_name(topic), message_type, qos)
-        subscription = DdsSubscription(reader, take, self.network.catch_up)
+        subscription = DdsSubscription(reader, take, self.network.catch_up, self.network.pause)
         self._subscriptions[reader.guid] = subscription
         self._listen(reader, subscription.receive)
         return subscription

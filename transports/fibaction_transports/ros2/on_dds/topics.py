@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
+
+from anyio import current_time
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import LimitReached
@@ -34,8 +37,11 @@ class DdsPublisher(TopicPublisher):
         writer: DataWriter,
         message_type: MessageType,
         write: Callable[[DataWriter, bytes], object],
+        room: float,
     ) -> None:
+        """`room` is `EndQos.room`."""
         self.end = writer
+        self._room = room
         self._encode = message_type.codec.encode
         self._write = write
 
@@ -51,6 +57,9 @@ class DdsPublisher(TopicPublisher):
     def reader_count(self) -> int:
         return len(self.end.matched)
 
+    def has_room(self) -> bool:
+        return self._room == math.inf or self.end.waiting(current_time()) < self._room
+
     def has_arrived(self, margin: int) -> bool:
         # Others acknowledge what waits in the queue of a reader, and may be pushed out of it.
         are_ours = all(reader.startswith(OWN_VENDOR) for reader in self.end.readers)
@@ -60,10 +69,17 @@ class DdsPublisher(TopicPublisher):
 class DdsSubscription(TopicSubscription):
     """A subscription to a topic."""
 
+    can_pause = True
+
     def __init__(
-        self, reader: DataReader, take: MessageSink, catch_up: Callable[[DataReader], bool]
+        self,
+        reader: DataReader,
+        take: MessageSink,
+        catch_up: Callable[[DataReader], bool],
+        pause: Callable[[DataReader, bool], None],
     ) -> None:
         self.end = reader
+        self._pause = pause
         self._take = take
         self._catch_up = catch_up
         self._waiting: list[Callable[[], None]] = []
@@ -76,6 +92,9 @@ class DdsSubscription(TopicSubscription):
         if self._must_be_whole:
             self._numbers.note(bytes(sample.writer), sample.number)
         self._take(sample.payload, bytes(sample.writer))
+
+    def pause(self, is_paused: bool, /) -> None:
+        self._pause(self.end, is_paused)
 
     def tell_lost(self, take: Callable[[int], None]) -> None:
         self._numbers.tell(take)

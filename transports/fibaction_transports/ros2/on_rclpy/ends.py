@@ -27,6 +27,7 @@ _INFINITE = 2**63 - 1
 """The nanoseconds of an infinite duration."""
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
 
+_NO_TIME = Duration()._duration_handle
 Attempt: TypeAlias = Callable[..., Any]
 """Calls rclpy: see `RclpyNode.attempt`."""
 
@@ -42,7 +43,21 @@ class RclpyEnd:
 class RclpyPublisher(RclpyEnd, TopicPublisher):
     """A publisher of a topic."""
 
+    def __init__(self, handle: Any, attempt: Attempt, qos: EndQos) -> None:
+        super().__init__(handle, attempt)
+        self._room = qos.room
+        self._unconfirmed = 0
+
+    def has_room(self) -> bool:
+        # ROS tells only whether all of them have arrived.
+        if self._unconfirmed < self._room:
+            return True
+        arrived = self._attempt(self.handle.wait_for_all_acked, _NO_TIME, otherwise=True)
+        self._unconfirmed = 0 if arrived else self._unconfirmed
+        return bool(arrived)
+
     def publish(self, message: Any) -> None:
+        self._unconfirmed += 1
         self._attempt(self.handle.publish, message)
 
     def publish_bytes(self, message: bytes) -> None:
@@ -55,6 +70,15 @@ class RclpyPublisher(RclpyEnd, TopicPublisher):
 
 class RclpySubscription(RclpyEnd, TopicSubscription):
     """A subscription to a topic."""
+
+    can_pause = True
+
+    def __init__(self, handle: Any, attempt: Attempt, pause: Callable[[bool], None]) -> None:
+        super().__init__(handle, attempt)
+        self._pause = pause
+
+    def pause(self, is_paused: bool, /) -> None:
+        self._pause(is_paused)
 
     def publisher_count(self) -> int:
         count: int = self._attempt(self.handle.get_publisher_count, otherwise=0)
@@ -112,6 +136,7 @@ def profile_of(qos: EndQos) -> Any:
     profile = rclpy_qos.QoSProfile(
         reliability=rclpy_qos.ReliabilityPolicy[qos.reliability.upper()],
         durability=rclpy_qos.DurabilityPolicy[qos.durability.upper()],
+        history=rclpy_qos.HistoryPolicy[qos.history.upper()],
         depth=qos.depth,
     )
     if not math.isinf(qos.lease):
@@ -130,6 +155,7 @@ def end_info(end: Any) -> EndInfo:
         EndQos(
             reliability=profile.reliability.name.lower(),
             durability=profile.durability.name.lower(),
+            history="keep_all" if profile.history.name == "KEEP_ALL" else "keep_last",
             depth=profile.depth,
             lease=lease / _BILLION if lease < _INFINITE else math.inf,
         ),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager, suppress
+from functools import partial
 from typing import Any, cast
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
@@ -186,7 +187,8 @@ class RclpyNode(RosNode):
     # Parts
 
     def publisher(self, topic: str, message_type: Any, qos: EndQos) -> RclpyPublisher:
-        return RclpyPublisher(self._make(raw.Publisher, message_type, topic, qos), self.attempt)
+        handle = self._make(raw.Publisher, message_type, topic, qos)
+        return RclpyPublisher(handle, self.attempt, qos)
 
     def subscription(
         self,
@@ -198,8 +200,9 @@ class RclpyNode(RosNode):
         is_first: bool = False,
     ) -> RclpySubscription:
         handle = self._make(raw.Subscription, message_type, topic, qos)
-        self.listen(Messages(handle, message_type, _each(take)), first=is_first)
-        return RclpySubscription(handle, self.attempt)
+        source = Messages(handle, message_type, _each(take))
+        self.listen(source, first=is_first)
+        return RclpySubscription(handle, self.attempt, partial(self._pause, source))
 
     def caller(
         self,
@@ -265,6 +268,10 @@ class RclpyNode(RosNode):
         for service in services:
             handle = cast("RclpyCaller | RclpyProvider", service).handle
             handle.configure_introspection(clock, profile, state)
+
+    def _pause(self, source: Source, is_paused: bool) -> None:
+        source.is_paused = is_paused
+        self.wake()
 
     def listen(self, *sources: Source, first: bool = False) -> None:
         """Take what arrives at these sources: see `RosWaitable.add`."""

@@ -30,6 +30,8 @@ class Source(ABC):
         """`unread` is called with the error if something cannot be taken."""
         self.handle = handle
         self.index: int | None = None
+        self.is_paused = False
+        """True if nothing is to be taken for now, so that it waits in the middleware."""
         self._sink = sink
         self._unread = unread
 
@@ -160,6 +162,8 @@ class RosWaitable(waitable.Waitable):  # type: ignore[misc]  # rclpy has no type
         self.is_spun = True
         self._entered = []
         for source in () if self.is_paused else self._sources:
+            if source.is_paused:
+                continue
             with suppress(InvalidHandle):  # it is being destroyed
                 source.handle.__enter__()
                 self._entered.append(source)

@@ -178,7 +178,8 @@ def _qos_text(qos: EndQos) -> str:
     """Return a quality of service; what is the default of ROS is left empty."""
     reliability = "" if qos.reliability == "reliable" else "2"
     durability = "" if qos.durability == "volatile" else "1"
-    return f"{reliability}:{durability}:,{qos.depth}:,:,:,,"
+    history = "" if qos.history == "keep_last" else "2"
+    return f"{reliability}:{durability}:{history},{qos.depth}:,:,:,,"
 
 
 def _read_qos(words: str) -> EndQos | None:
@@ -186,12 +187,14 @@ def _read_qos(words: str) -> EndQos | None:
     if len(rest) < 2:
         return None
     durability, history = rest[:2]
-    depth = history.partition(",")[2] or str(_DEFAULT_DEPTH)
+    history, _, depth = history.partition(",")
+    depth = depth or str(_DEFAULT_DEPTH)
     if not (depth.isascii() and depth.isdecimal() and len(depth) < 20):
         return None
     return EndQos(
         reliability=_RELIABILITIES.get(reliability, "reliable"),
         durability=_DURABILITIES.get(durability, "volatile"),
+        history="keep_all" if history == "2" else "keep_last",
         depth=int(depth),
     )
 

@@ -50,6 +50,7 @@ class ZenohPublisher(TopicPublisher):
         self._encode = message_type.codec.encode
         self._number = 0
         self._sent = 0
+        self._room = qos.room
         is_reliable = qos.reliability == "reliable"
         block, drop = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
         congestion = block if is_reliable else drop
@@ -84,6 +85,9 @@ class ZenohPublisher(TopicPublisher):
 
     def reader_count(self) -> int:
         return self._graph.count_connected(SUBSCRIPTION, self._topic, self._hash)
+
+    def has_room(self) -> bool:
+        return self._number - self._sent < self._room
 
     def has_arrived(self, margin: int) -> bool:
         # Zenoh waits until each message is in the queue of its link, which is short.

@@ -45,14 +45,14 @@ class Matcher:
 
     def match_own(self, endpoint: DataWriter | DataReader, now: float) -> None:
         """Match a new endpoint with the others of this participant."""
-        is_writer = isinstance(endpoint, DataWriter)
-        writers = [endpoint] if is_writer else self._local.user_writers()
-        readers = self._local.user_readers() if is_writer else [endpoint]
-        for writer in writers:
-            for reader in readers:
-                is_same = (writer.topic, writer.type_name) == (reader.topic, reader.type_name)
-                if is_same and not mismatches(writer.qos, reader.qos):
-                    writer.match_own(reader, now)
+        if isinstance(endpoint, DataWriter):
+            pairs = [(endpoint, reader) for reader in self._local.user_readers()]
+        else:
+            pairs = [(writer, endpoint) for writer in self._local.user_writers()]
+        for writer, reader in pairs:
+            is_same = (writer.topic, writer.type_name) == (reader.topic, reader.type_name)
+            if is_same and not mismatches(writer.qos, reader.qos):
+                writer.match_own(reader, now)
 
     def match_remote(self, data: EndpointData, now: float) -> None:
         """Match a new endpoint of another participant with those of this one."""

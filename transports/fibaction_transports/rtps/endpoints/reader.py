@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from msgspec.structs import replace
 
@@ -18,9 +18,6 @@ from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 from fibaction_transports.rtps.outbox import PeerRoute
 from fibaction_transports.rtps.qos import Qos
-
-if TYPE_CHECKING:
-    from fibaction_transports.rtps.endpoints.writer import DataWriter
 
 
 class EarlyHeartbeats:
@@ -96,10 +93,12 @@ class DataReader:
         self.qos = qos
         self._shared = shared
         self._deliver = deliver
+        self.is_paused = False
+        """True if samples of reliable writers of other participants are held back."""
         self.proxies: dict[Guid, WriterProxy] = {}
         """The matched writers of other participants, which take what is received of them."""
-        self.own_writers: dict[Guid, DataWriter] = {}
-        """The matched writers of the same participant."""
+        self.own_writers: dict[Guid, Callable[[], None]] = {}
+        """The matched writers of the same participant, and what ends the match."""
         self.confirmed_writers: set[Guid] = set()
         """The matched writers that have found this reader, too, as far as they tell: reliable ones
         send heartbeats, and only to readers that they have found.
@@ -138,6 +137,7 @@ class DataReader:
             self._tell_caught_up,
             self.confirmed_writers,
         )
+        proxy.is_paused = self.is_paused
         self.proxies[writer] = proxy
         if is_reliable:
             proxy.start_reliable(heartbeat, now)
@@ -149,17 +149,22 @@ class DataReader:
             proxy.close()
         return proxy is not None
 
+    def pause(self, now: float, *, is_paused: bool) -> None:
+        """Hold samples of reliable writers back, and acknowledge none of them, so that a writer
+        which keeps all of them waits; or take them again.
+        """
+        self.is_paused = is_paused
+        for proxy in [*self.proxies.values()]:
+            proxy.is_paused = is_paused
+            if not is_paused:
+                proxy.resume(now)
+
     def take_own(self, writer: Guid, number: int, stored: StoredSample, now: float) -> None:
         """Take a sample of a writer of the same participant, if it is for this reader."""
         if stored.only_to in (None, self.guid):
             content = unpadded(stored.payload)
             sample = Sample(writer, number, content, stored.inline_qos, stored.time)
             self._deliver(self.guid, sample, now)
-
-    def unmatch_own(self, writer: DataWriter) -> None:
-        """Forget a writer of the same participant."""
-        del self.own_writers[writer.guid], writer.own_readers[self.guid]
-        self.confirmed_writers.discard(writer.guid)
 
     def ask(self, now: float) -> None:
         """Ask every writer for its newest samples, without waiting for its heartbeat.
@@ -193,5 +198,5 @@ class DataReader:
         """Forget all writers."""
         for writer in [*self.proxies]:
             self.unmatch(writer)
-        for own in [*self.own_writers.values()]:
-            self.unmatch_own(own)
+        for unmatch in [*self.own_writers.values()]:
+            unmatch()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Container, Sequence
+from functools import partial
 
 from fibaction.words.errors import LimitReached
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
@@ -74,6 +75,14 @@ class DataWriter:
             ),
             default=self.last,
         )
+
+    def waiting(self, now: float) -> int:
+        """Return the number of the newest samples that a reader has not taken; one that has taken
+        none for long does not count.
+        """
+        if any(reader.is_paused for reader in self.own_readers.values()):
+            return self.last
+        return self.last - self.acknowledged(now)
 
     def has_arrived(self, margin: int) -> bool:
         """Return whether every reader has all samples but the newest ones, up to the margin; one
@@ -171,11 +180,15 @@ class DataWriter:
         both are transient local.
         """
         self.own_readers[reader.guid] = reader
-        reader.own_writers[self.guid] = self
+        reader.own_writers[self.guid] = partial(self._unmatch_own, reader)
         reader.confirmed_writers.add(self.guid)
         if self.qos.is_transient_local and reader.qos.is_transient_local:
             for number, sample in self._history.samples.items():
                 reader.take_own(self.guid, number, sample, now)
+
+    def _unmatch_own(self, reader: DataReader) -> None:
+        del self.own_readers[reader.guid], reader.own_writers[self.guid]
+        reader.confirmed_writers.discard(self.guid)
 
     def unmatch(self, reader: Guid, now: float) -> bool:
         """Forget a reader; return whether it was matched."""
@@ -210,7 +223,7 @@ class DataWriter:
         """Forget all readers, and send nothing any more."""
         self.readers.clear()
         for reader in [*self.own_readers.values()]:
-            reader.unmatch_own(self)
+            self._unmatch_own(reader)
         self._shared.timers.cancel(self.on_heartbeat_due)
 
     def _forget(self, now: float) -> None:

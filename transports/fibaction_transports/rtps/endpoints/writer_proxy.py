@@ -77,6 +77,8 @@ class WriterProxy:
         self._route = route
         self._vendor = vendor
         self._reader = reader
+        self.is_paused = False
+        """True if samples are held back that could be handed over."""
         self._shared = shared
         self._deliver = deliver
         self._is_reliable = False
@@ -107,6 +109,12 @@ class WriterProxy:
         if self._is_reliable and self._next is not None:
             self._catch_up.start(is_complete=self.is_complete, now=now)
 
+    def resume(self, now: float) -> None:
+        """Hand over what was held back, and tell the writer."""
+        if self._is_reliable and self._next is not None:
+            self._hand_over(now)
+            self._shared.timers.set_earlier(self.on_acknowledge_due, now)
+
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
         """Take the first heartbeat of the writer, or ask for it until it comes."""
         self._is_reliable = True
@@ -129,7 +137,8 @@ class WriterProxy:
 
     def receive_data(self, data: Data, time: float | None, now: float) -> None:
         """Take a sample."""
-        if data.number != self._next and not self._wants(data.number):
+        is_due = data.number == self._next and not self.is_paused
+        if not is_due and not self._wants(data.number):
             return
         payload, content = data.payload, b""
         if payload:
@@ -270,7 +279,7 @@ class WriterProxy:
         self._catch_up.sampled_at = now
         if not self._is_reliable:
             self._advance(number, now)
-        if number == self._next:
+        if number == self._next and not self.is_paused:
             self._next = number + 1
             self._request_pause = FIRST_REQUEST
             self._deliver(self._reader, sample, now)
@@ -301,7 +310,7 @@ class WriterProxy:
 
     def _hand_over(self, now: float) -> None:
         """Hand over held samples, as far as none is missing."""
-        while self._next in self._held:
+        while self._next in self._held and not self.is_paused:
             self._next += 1
             self._hand_over_one(self._next - 1, now)
         self._catch_up.settle(self._next or 1)
