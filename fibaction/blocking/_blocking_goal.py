@@ -49,6 +49,11 @@ class BlockingFeedback(Generic[FeedbackT]):
         return self._reader.number
 
     @property
+    def at(self) -> int:
+        """The time at which the executor reported it: see `FeedbackReader.at`."""
+        return self._reader.at
+
+    @property
     def attempt(self) -> int:
         """The attempt at the goal that `number` belongs to, from 1."""
         return self._reader.attempt

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Sequence
+from time import time_ns
 from types import TracebackType
 from typing import Self, TypeAlias
 
@@ -29,6 +30,9 @@ class FeedbackItem(msgspec.Struct, frozen=True, gc=False):
     attempt: int = 1
     """The attempt at the goal that the feedback is of. A server that keeps its goals in a store may
     run a goal again after a restart."""
+    at: int = msgspec.field(default_factory=time_ns)
+    """The time at which the executor reported it: nanoseconds since 1970, by the server's clock.
+    Where that is not told, as by a server of ROS, it is the time of the arrival."""
 
 
 class Closing(ABC):

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from time import time_ns
 from typing import Generic, TypeAlias
 
 import anyio
@@ -61,6 +62,8 @@ class GoalFeedback(msgspec.Struct, Generic[FeedbackT], frozen=True):
     feedback: FeedbackT
     attempt: int = 1
     """The attempt at the goal that the feedback is of, from 1: see `ClientGoal.attempt`."""
+    at: int = msgspec.field(default_factory=time_ns)
+    """The time at which the executor reported it: see `FeedbackReader.at`."""
 
 
 class Events(AsyncItems, Generic[FeedbackT]):
@@ -183,7 +186,9 @@ class _Merger(Generic[FeedbackT]):
                 with await self._endpoint.feedback(goal_id, after=after) as stream:
                     while (item := await stream.receive()) is not None:
                         feedback = self._codec.decode(item.payload)
-                        await sink.send(GoalFeedback(goal_id, item.number, feedback, item.attempt))
+                        await sink.send(
+                            GoalFeedback(goal_id, item.number, feedback, item.attempt, item.at)
+                        )
             except UnknownGoal:
                 pass  # it ended and was forgotten in the meantime
             except ActionError as exc:

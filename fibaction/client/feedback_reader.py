@@ -64,6 +64,10 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
     ) -> None:
         self.stream = stream
         self.span = span
+        self.at = 0
+        """The time at which the executor reported the feedback that was read last: nanoseconds
+        since 1970, by the server's clock; 0 before the first. Where that is not told, as by a
+        server of ROS, it is the time of the arrival."""
         self._endpoint = endpoint  # of a connection that is not to be collected before its reader
         self._thread = thread
         self._codec = codec
@@ -109,9 +113,10 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
                     await stream.news.wait()
                 finally:
                     self._waits = False
-            elif isinstance(updates[0], FeedbackItem):
-                return self._codec.decode(updates[0].payload)
-            elif isinstance(updates[0], Outcome):
+            elif isinstance(update := updates[0], FeedbackItem):
+                self.at = update.at
+                return self._codec.decode(update.payload)
+            elif isinstance(update, Outcome):
                 break
         raise StopAsyncIteration
 
@@ -123,6 +128,7 @@ class FeedbackReader(AsyncItems, Generic[FeedbackT]):
             self._waits = False
         if item is None:
             raise StopAsyncIteration
+        self.at = item.at
         feedback = self._codec.decode(item.payload)
         attempts.note_feedback(feedback)
         return feedback

@@ -44,7 +44,7 @@ from fibaction.words.errors import ActionError, UnknownGoal, copy_of
 from fibaction.words.goals import GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
-KEPT_MESSAGE = 128
+KEPT_MESSAGE = 160
 """Bytes of memory that a message takes beside its payload. They count after the end of the goal:
 there is a limit for the number of active goals, and feedback of ended ones is to stay within that
 of bytes."""

@@ -33,6 +33,7 @@ import math
 import sys
 from collections import deque
 from itertools import islice
+from time import monotonic_ns
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
 import anyio
@@ -194,14 +195,15 @@ class FeedbackWindow(Generic[FollowedT]):
         """Add feedback, and return whether the window is full now: see `is_full`. In a full window
         it pushes out the oldest.
         """
-        number = self.goal.feedback_count = self.goal.feedback_count + 1
+        goal = self.goal
+        number = goal.feedback_count = goal.feedback_count + 1
         items: deque[FeedbackItem] = self._items
         budget = self._budget
         if items is NOTHING:  # a deque is a tenth of the memory of a goal without feedback
             self._items = items = deque(maxlen=self._window)
         elif len(items) == self._window:
             budget.used -= len(items[0].payload)
-        items.append(FeedbackItem(number, payload, self.goal.attempt))
+        items.append(FeedbackItem(number, payload, goal.attempt, monotonic_ns() + goal.clock))
         budget.used += len(payload)
         if budget.used > budget.limit:  # then old feedback goes that no holding reader has to read
             if budget.make_room is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from time import monotonic_ns, time_ns
 from typing import Protocol
 
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
@@ -24,6 +25,8 @@ class FollowedGoal(Protocol):
     goal_id: GoalID
     stamp: int
     """Time of the acceptance: nanoseconds since 1970."""
+    clock: int
+    """The nanoseconds from the monotonic clock to the times that are told of the goal."""
     attempt: int
     """Number of the attempt that runs, from 1."""
     feedback_count: int
@@ -52,6 +55,7 @@ class GoalFacts:
 
     __slots__ = (
         "attempt",
+        "clock",
         "feedback_count",
         "goal_id",
         "held",
@@ -64,6 +68,7 @@ class GoalFacts:
     def __init__(self, goal_id: GoalID, stamp: int) -> None:
         self.goal_id = goal_id
         self.stamp = stamp
+        self.clock = time_ns() - monotonic_ns()
         self.attempt = 1
         self.feedback_count = 0
         self.outcome: Outcome[bytes] | None = None

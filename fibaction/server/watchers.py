@@ -180,9 +180,7 @@ class WatchedLog(FeedbackLog[GoalRecord]):
 
     def append(self, payload: bytes) -> bool:
         is_full = super().append(payload)
-        goal = self.goal
-        item = FeedbackItem(goal.feedback_count, payload, goal.attempt)
-        self._watchers.feedback(goal.goal_id, item)
+        self._watchers.feedback(self.goal.goal_id, self._items[-1])
         return is_full
 
     def note_dropped(self, count: int) -> None:

@@ -135,7 +135,7 @@ def test_echo_in_a_terminal_has_a_bar_where_feedback_tells_the_progress(
 
 def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:
     said = Heard()
-    long = GoalFeedback(ID, 3, list(range(1000)))
+    long = GoalFeedback(ID, 3, list(range(1000)), at=7)
     with said.on_stdout():
         for full, as_json in ((False, False), (True, False), (False, True)):
             EchoPrinter(as_json, full=full).on_event("one", long)
@@ -148,6 +148,7 @@ def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:
         "event": "feedback",
         "goal_id": str(ID),
         "number": 3,
+        "at": 7,
         "feedback": list(range(1000)),
     }
     assert json.loads(said[3])["event"] == "status"

@@ -21,6 +21,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.border.abc import FeedbackItem
 from fibaction.cli.output.render import CODES, JsonPrinter, TextPrinter, goal_printer, print_goal
 from fibaction.testing import ScriptedServer
 from fibaction.words.goals import UNKNOWN_OUTCOME
@@ -51,15 +52,15 @@ def test_in_json_each_event_is_an_object(capsys: pytest.CaptureFixture[str]) -> 
     told.accepted(GOAL_ID, 5)
     told.rejected(GoalRejected("no", goal_id=GOAL_ID, code=RejectionCode.BUSY))
     told.status(GoalStatus.EXECUTING)
-    told.feedback(1, [0])
-    JsonPrinter(feedback=False).feedback(2, [0])
+    told.feedback(FeedbackItem(1, b"", at=7), [0])
+    JsonPrinter(feedback=False).feedback(FeedbackItem(2, b""), [0])
     told.ended(Outcome(GoalStatus.CANCELED, [0], "asked"))
 
     assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == [
         {"event": "accepted", "goal_id": str(GOAL_ID), "stamp": 5},
         {"event": "rejected", "goal_id": str(GOAL_ID), "reason": "no", "code": "BUSY"},
         {"event": "status", "status": "EXECUTING"},
-        {"event": "feedback", "number": 1, "feedback": [0]},
+        {"event": "feedback", "number": 1, "at": 7, "feedback": [0]},
         {"event": "result", "status": "CANCELED", "result": [0], "reason": "asked"},
     ]
 

@@ -201,7 +201,8 @@ async def test_feedback_says_which_attempt_it_is_of() -> None:
     server = Kept(Statuses(GoalInfo(ONE, 1, GoalStatus.EXECUTING)))
     async with ActionClient(server, FIBONACCI).events() as events:
         seen = [event async for event in events]
-    assert seen[1:] == [GoalFeedback(ONE, 1, Feedback([1]), attempt=2)]
+    (item,) = log.after(0, 1)
+    assert seen[1:] == [GoalFeedback(ONE, 1, Feedback([1]), 2, item.at)]
 
 
 async def test_a_lost_connection_is_raised_where_the_events_are_read() -> None:

@@ -142,8 +142,8 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "94230202b06974206973206e6f7420736572766564",
     ),
     (
-        Feedback(1, 1, FEEDBACK),
-        "94240101c41681b07061727469616c5f73657175656e636593000101",
+        Feedback(1, 1, FEEDBACK, STAMP),
+        "95240101c41681b07061727469616c5f73657175656e636593000101cf17979cfe362a0000",
     ),
     (
         StatusChanged(1, GoalStatus.EXECUTING),
@@ -194,11 +194,12 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "932e089193c410000102030405060708090a0b0c0d0e0f0205",
     ),
     (
-        FeedbackBatch(1, 2, [FEEDBACK, FEEDBACK]),
+        FeedbackBatch(1, 2, [FEEDBACK, FEEDBACK], [STAMP, STAMP + 5]),
         (
-            "9430010292"
+            "9530010292"
             "c41681b07061727469616c5f73657175656e636593000101"
             "c41681b07061727469616c5f73657175656e636593000101"
+            "92cf17979cfe362a0000cf17979cfe362a0005"
         ),
     ),
 ]

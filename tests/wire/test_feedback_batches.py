@@ -64,7 +64,7 @@ async def test_feedback_that_is_there_at_once_is_one_message() -> None:
         client = await served.greet(batches=True)
         told = await client.ask_all(send(1))
         assert kinds(told) == [Following, FeedbackBatch, Ended]
-        assert told[1] == FeedbackBatch(1, 1, payloads(1, 2, 3))
+        assert (told[1].number, told[1].payloads) == (1, payloads(1, 2, 3))
         assert told[2].place == 3
 
 
@@ -79,18 +79,23 @@ async def test_a_batch_uses_up_one_credit_for_each_of_its_messages() -> None:
     async with serving(scripted(*feedback(1, 2, 3, 4, 5), fib.Result([6]))) as served:
         client = await served.greet(batches=True)
         told = await client.ask_all(send(1, credit=2))
-        assert told[1:] == [FeedbackBatch(1, 1, payloads(1, 2))]
-        assert await client.ask_all(Credit(1, 2)) == [FeedbackBatch(1, 3, payloads(3, 4))]
+        assert kinds(told) == [Following, FeedbackBatch]
+        told = [told[1], *await client.ask_all(Credit(1, 2))]
+        assert [(one.number, one.payloads) for one in told] == [
+            (1, payloads(1, 2)),
+            (3, payloads(3, 4)),
+        ]
         told = await client.ask_all(Credit(1, 2))
-        assert told[0] == Feedback(1, 5, payloads(5)[0])
         assert kinds(told) == [Feedback, Ended]
+        assert (told[0].number, told[0].payload) == (5, payloads(5)[0])
 
 
 async def test_feedback_with_a_gap_is_told_by_single_messages_with_their_numbers() -> None:
     # A gateway: its own client has missed a message.
     async with reached() as (connection, server):
         async with goal_of(connection, server) as (goal, call_id):
-            await server.say(Feedback(call_id, 1, b"1"), Feedback(call_id, 3, b"3"))
+            first, third = Feedback(call_id, 1, b"1", 5), Feedback(call_id, 3, b"3", 6)
+            await server.say(first, third)
 
             class Gateway(type(scripted())):  # type: ignore[misc]  # a class that is made here
                 async def feedback(self, *_: Any, **__: Any) -> Any:
@@ -99,7 +104,7 @@ async def test_feedback_with_a_gap_is_told_by_single_messages_with_their_numbers
             async with serving(Gateway(FIBONACCI, ())) as served:
                 client = await served.greet(batches=True)
                 told = await client.ask_all(follow(0, own=False))
-                assert told[1:] == [Feedback(1, 1, b"1"), Feedback(1, 3, b"3")]
+                assert told[1:] == [Feedback(1, 1, b"1", 5), Feedback(1, 3, b"3", 6)]
 
 
 @pytest.mark.parametrize("length", [CHUNK // 3, CHUNK // 2, 2 * CHUNK])
@@ -133,6 +138,14 @@ async def test_an_empty_batch_is_the_servers_error() -> None:
                 await outcome_of(goal)
 
 
+async def test_a_batch_with_a_time_too_few_is_the_servers_error() -> None:
+    async with reached() as (connection, server):
+        async with goal_of(connection, server) as (goal, call_id):
+            await server.say(FeedbackBatch(call_id, 1, [b"1", b"2"], [5]))
+            with pytest.raises(ProtocolError, match="2 messages of feedback have 1 times"):
+                await outcome_of(goal)
+
+
 some_gaps = some.lists(some.tuples(some.integers(0, 3), some.integers(1, 5)), max_size=6)
 
 
@@ -152,11 +165,12 @@ def test_a_batch_means_what_as_many_single_messages_mean(
             number += gap
             numbers = range(number + 1, number + count + 1)
             bodies = [b"%d" % one for one in numbers]
+            times = [10 * one for one in numbers]
             if in_batches:
-                goal.on_message(FeedbackBatch(1, numbers[0], bodies))
+                goal.on_message(FeedbackBatch(1, numbers[0], bodies, times))
             else:
-                for one, body in zip(numbers, bodies, strict=True):
-                    goal.on_message(Feedback(1, one, body))
+                for one, body, at in zip(numbers, bodies, times, strict=True):
+                    goal.on_message(Feedback(1, one, body, at))
             number = numbers[-1]
             if len(taken) < after:
                 taken += goal.take(after - len(taken))

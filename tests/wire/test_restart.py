@@ -64,7 +64,7 @@ KEPT = GoalKept("the server keeps the goal")
 
 
 def numbered(call_id: int, *numbers: int) -> list[Feedback]:
-    return [Feedback(call_id, number, b"") for number in numbers]
+    return [Feedback(call_id, number, b"", 5) for number in numbers]
 
 
 # At the client: another attempt
@@ -75,10 +75,11 @@ async def test_attempts_without_feedback_are_not_remembered() -> None:
     for attempt in range(1, 100):
         goal.on_message(Following(1, 7, EXECUTING, latest=False, place=0, attempt=attempt))
         if attempt == 1:
-            goal.on_message(Feedback(1, 1, b""))
+            goal.on_message(Feedback(1, 1, b"", 5))
     assert len(goal._earlier) == 1
-    goal.on_message(Feedback(1, 1, b""))
-    assert [*goal.take(), *goal.take()] == [FeedbackItem(1, b"", 1), FeedbackItem(1, b"", 99)]
+    goal.on_message(Feedback(1, 1, b"", 6))
+    items = [FeedbackItem(1, b"", 1, 5), FeedbackItem(1, b"", 99, 6)]
+    assert [*goal.take(), *goal.take()] == items
 
 
 async def test_an_attempt_may_be_a_lower_one_after_a_store_has_lost_its_last_writes() -> None:

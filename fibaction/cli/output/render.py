@@ -61,10 +61,10 @@ class TextPrinter:
     def status(self, status: GoalStatus) -> None:
         """Print nothing: the verb prints a remark when it causes a change."""
 
-    def feedback(self, number: int, feedback: Any) -> None:
+    def feedback(self, item: FeedbackItem, feedback: Any) -> None:
         """Print a feedback message."""
         if self._line is not None:
-            self._line.show(number, feedback)
+            self._line.show(item.number, feedback)
         else:
             self._say("Feedback:", feedback)
 
@@ -102,9 +102,10 @@ class JsonPrinter(TextPrinter):
     def status(self, status: GoalStatus) -> None:
         say_json({"event": "status", "status": status.name})
 
-    def feedback(self, number: int, feedback: Any) -> None:
+    def feedback(self, item: FeedbackItem, feedback: Any) -> None:
         if self._feedback:
-            say_json({"event": "feedback", "number": number, "feedback": feedback})
+            facts = {"number": item.number, "at": item.at}
+            say_json({"event": "feedback", **facts, "feedback": feedback})
 
     def ended(self, outcome: Outcome[Any]) -> None:
         say_json({"event": "result"} | outcome.members)
@@ -131,7 +132,7 @@ async def print_goal(
         with _live_line(printer, live) as shown:
             async for update in stream:
                 if isinstance(update, FeedbackItem):
-                    shown.feedback(update.number, action.feedback.decode(update.payload))
+                    shown.feedback(update, action.feedback.decode(update.payload))
                 elif isinstance(update, GoalStatus):
                     shown.status(update)
         raw = await stream.outcome()

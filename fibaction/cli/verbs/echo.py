@@ -143,9 +143,8 @@ class EchoPrinter(EventPrinter):
     def print_feedback(self, event: GoalFeedback[Any]) -> None:
         goal_id, number, feedback = str(event.goal_id), event.number, event.feedback
         if self._as_json:
-            say_json(
-                {"event": "feedback", "goal_id": goal_id, "number": number, "feedback": feedback}
-            )
+            facts = {"goal_id": goal_id, "number": number, "at": event.at}
+            say_json({"event": "feedback", **facts, "feedback": feedback})
             return
         head = f"Goal {goal_id}: feedback {number}"
         text = as_yaml(feedback, full=self._full, indent=INDENT)

@@ -43,9 +43,9 @@ OVERHEAD = 500
 BATCH = 1000
 """Records of one write."""
 
-_Feedback: TypeAlias = tuple[int, str, GoalID, FeedbackItem]
-"""A feedback message with its time, its action and its goal; the thread makes the record, because
-there are many."""
+_Feedback: TypeAlias = tuple[str, GoalID, FeedbackItem]
+"""A feedback message with its action and its goal; the thread makes the record, because there are
+many."""
 
 logger = clean_logger("fibaction.recorder")
 
@@ -122,7 +122,8 @@ class Recorder(Watcher):
 
     def accepted(self, action: str, info: GoalInfo, goal: bytes) -> None:
         self._undecided.pop(info.goal_id, None)
-        self._add(_record("accepted", action, info, data=goal, **_named(info.parent)))
+        facts = {"data": goal, **_named(info.parent)}
+        self._add(_record("accepted", action, info, info.stamp, **facts))
 
     def changed(self, action: str, info: GoalInfo) -> None:
         self._add(_record("status", action, info))
@@ -139,7 +140,7 @@ class Recorder(Watcher):
             return
         if self.error is None:
             self._put += OVERHEAD + len(item.payload)
-            self._queue.append((time.time_ns(), action, goal_id, item))
+            self._queue.append((action, goal_id, item))
 
     def canceled(self, action: str, goal_id: GoalID | None, answer: CancelAnswer) -> None:
         text = "" if goal_id is None else str(goal_id)
@@ -148,7 +149,9 @@ class Recorder(Watcher):
 
     def ended(self, action: str, info: GoalInfo, outcome: Outcome[bytes]) -> None:
         result = msgspec.UNSET if outcome.result is None else outcome.result
-        self._add(_record("end", action, info, reason=outcome.reason, data=result))
+        self._add(
+            _record("end", action, info, outcome.ended_at, reason=outcome.reason, data=result)
+        )
 
     def left(self, action: str, info: GoalInfo, reason: str) -> None:
         self._add(_record("left", action, info, reason=reason))
@@ -214,25 +217,28 @@ def _named(parent: Parent | None) -> dict[str, Any]:
     return {} if parent is None else {"parent": str(parent.goal_id), "step": parent.step}
 
 
-def _record(event: Any, action: str, info: GoalInfo, **more: Any) -> Record:
-    """Return a record of an event of a goal."""
+def _record(event: Any, action: str, info: GoalInfo, at: int | None = None, **more: Any) -> Record:
+    """Return a record of an event of a goal, which has happened at that time, or now."""
     goal_id, status = str(info.goal_id), info.status.name
-    at, attempt, client = time.time_ns(), info.attempt, info.client
+    at, attempt, client = at or time.time_ns(), info.attempt, info.client
     return Record(at, event, action, goal_id, status, attempt=attempt, client=client, **more)
 
 
 def _size_of(record: Record | _Feedback) -> int:
-    payload = record[3].payload if isinstance(record, tuple) else record.data
+    payload = record[2].payload if isinstance(record, tuple) else record.data
     return OVERHEAD + (len(payload) if isinstance(payload, bytes) else 0)
 
 
 def _line(encoder: msgspec.json.Encoder, record: Record | _Feedback) -> bytes:
     """Return the line of a record, whose payload becomes JSON data."""
     if isinstance(record, tuple):
-        at, action, goal_id, item = record
+        action, goal_id, item = record
         number, attempt, payload = item.number, item.attempt, item.payload
         record = Record(
-            at, "feedback", action, goal_id.hex(), number=number, attempt=attempt, data=payload
+            *(item.at, "feedback", action, goal_id.hex()),
+            number=number,
+            attempt=attempt,
+            data=payload,
         )
     payload = record.data
     if isinstance(payload, bytes):

@@ -181,12 +181,14 @@ class _Replay:
         while batch := await anyio.to_thread.run_sync(lambda: list(islice(records, AT_ONCE))):
             for record in batch:
                 begun = begun or record.time
+                if record.event not in ("feedback", "end"):
+                    continue  # a recorder outside the server may have been told it later
                 at = start + (record.time - begun) / SECOND / self._speed
                 if at > anyio.current_time():
                     await anyio.sleep_until(at)
                 if record.event == "feedback":
                     yield _Feedback(payload_of(record, info.feedback) or b"")
-                elif record.event == "end":
+                else:
                     payload = payload_of(record, info.result)
                     result = None if payload is None else _Result(payload)
                     if record.status == "SUCCEEDED" and result is not None:

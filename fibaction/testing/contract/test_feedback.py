@@ -283,7 +283,12 @@ async def test_the_feedback_of_a_goal_that_has_ended_can_be_asked_for(reach: Rea
             assert numbers([item async for item in late.feedback]) == seen
             assert late.feedback_dropped == dropped
         again = await client.send_goal(Goal(10), goal_id=goal.goal_id)
-        assert numbers([item async for item in again.feedback]) == [7, 8, 9, 10]
+        times = [again.feedback.at async for _ in again.feedback]
+        ended_at = (await again.outcome()).ended_at
+        assert ended_at is not None
+        # When it was reported, and not when it has arrived.
+        assert [again.stamp, *times, ended_at] == sorted([again.stamp, *times, ended_at])
+        assert len(times) == 4
 
 
 @pytest.mark.promise("FEEDBACK-11")

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from time import time_ns
 from typing import Any, TypeAlias
 
 from anyio import current_time
@@ -205,9 +206,10 @@ class RemoteGoal(Call, UnreadFeedback):
         # Where most messages pass: for a class of msgspec's, `isinstance` takes ten times as long.
         kind = message.__class__
         if kind is Feedback and self.is_answered:
-            self._take_feedback(message.number, (message.payload,))
+            at = message.at
+            self._take_feedback(message.number, (message.payload,), None if at is None else (at,))
         elif kind is FeedbackBatch and self.is_answered:
-            self._take_feedback(message.number, message.payloads)
+            self._take_feedback(message.number, message.payloads, message.times)
         elif kind is Following:
             self._take_following(message)
         elif kind is StatusChanged and self.is_answered:
@@ -293,11 +295,17 @@ class RemoteGoal(Call, UnreadFeedback):
             if self.reads and status.is_active:
                 self._statuses += (status,)
 
-    def _take_feedback(self, first: int, payloads: Sequence[bytes]) -> None:
-        """Take feedback with consecutive numbers."""
+    def _take_feedback(
+        self, first: int, payloads: Sequence[bytes], times: Sequence[int] | None
+    ) -> None:
+        """Take feedback with consecutive numbers, which has arrived now if no times are told."""
         if first <= self._last:
             raise ProtocolError(f"feedback {first} came after {self._last}")
         count = len(payloads)
+        if times is None:
+            times = (time_ns(),) * count
+        elif len(times) != count:
+            raise ProtocolError(f"{count} messages of feedback have {len(times)} times")
         self._credit.spend(count)
         self._last = first + count - 1
         if not self.reads:
@@ -305,10 +313,11 @@ class RemoteGoal(Call, UnreadFeedback):
         if self.latest:
             self._forget_unread()
             self._credit.grant(count)
-            first, payloads = self._last, payloads[-1:]
-        attempt = self._newest
+            first, payloads, times = self._last, payloads[-1:], times[-1:]
+        attempt, numbers = self._newest, range(first, self._last + 1)
         self._items += [
-            FeedbackItem(number, payload, attempt) for number, payload in enumerate(payloads, first)
+            FeedbackItem(number, payload, attempt, at)
+            for number, payload, at in zip(numbers, payloads, times, strict=True)
         ]
         if not self._holds:
             self._make_room()

@@ -107,6 +107,9 @@ class Feedback(WireMessage, tag=36):
     id: ID
     number: Stamp
     payload: bytes
+    at: Stamp | None = None
+    """Time at which the executor reported it: nanoseconds since 1970; nil if the server does not
+    know it."""
 
 
 @final
@@ -122,6 +125,8 @@ class FeedbackBatch(WireMessage, tag=48):
     """Number of the first feedback message; the next ones follow without a gap."""
     payloads: Annotated[list[bytes], msgspec.Meta(min_length=1)]
     """The feedback messages, at least one, each a payload."""
+    times: list[Stamp] | None = None
+    """Time of each of them, as `at` in `Feedback`; nil if the server does not know them."""
 
 
 @final

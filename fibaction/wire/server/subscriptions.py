@@ -296,7 +296,7 @@ class GoalSubscription(WireSubscription):
         frames: list[bytes] = []
         size = 0
         for item in items:
-            frame = encode(Feedback(self.request, item.number, item.payload))
+            frame = encode(Feedback(self.request, item.number, item.payload, item.at))
             frames.append(frame)
             size += len(frame)
             if size >= CHUNK and self._goes_back(stream, item.number):
@@ -316,7 +316,7 @@ class GoalSubscription(WireSubscription):
         payloads = [item.payload for item in items]
         if sum(map(len, payloads)) > CHUNK:
             return None
-        frame = encode(FeedbackBatch(self.request, first, payloads))
+        frame = encode(FeedbackBatch(self.request, first, payloads, [item.at for item in items]))
         return frame if len(frame) <= self._max_frame else None
 
     def _begin_attempt(self, stream: GoalStream) -> list[bytes]:

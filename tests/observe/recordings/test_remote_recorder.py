@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pathlib import Path
@@ -139,6 +140,9 @@ async def test_goals_of_other_clients_are_recorded_from_their_first_feedback_on(
 ) -> None:
     async with robot() as one:
         before = await one.client.send_goal(Goal(2))
+        await anext(before.feedback)
+        await anext(before.feedback)
+        begun_at = time.time_ns()
         one.record()
         await one.lines.until("accepted", before.goal_id)
         after = await one.client.send_goal(Goal(1))
@@ -153,6 +157,10 @@ async def test_goals_of_other_clients_are_recorded_from_their_first_feedback_on(
         found = of(goal.goal_id, records)
         feedback = [("feedback", number + 1) for number in range(count)]
         assert [one for one in found if one[0] == "feedback"] == feedback
+        told = [one for one in records if one.goal_id == str(goal.goal_id)]
+        times = [one.time for one in told if one.event in ("accepted", "feedback")]
+        assert times == sorted(times)
+        assert (times[-1] < begun_at) == (goal is before), "each at its time at the server"
         assert found[-1] == ("end", GoalStatus.SUCCEEDED.name)
 
 

@@ -121,6 +121,7 @@ async def test_feedback_comes_at_its_recorded_times_divided_by_the_speed(tmp_pat
         Record(10 * SECOND, "accepted", "drive", "a", data={"meters": 1}),
         Record(11 * SECOND, "accepted", "drive", "b", data={"meters": 5}),
         Record(12 * SECOND, "feedback", "drive", "b", number=1, data=77),
+        Record(25 * SECOND, "status", "drive", "a", status="EXECUTING"),  # which was told late
         Record(14 * SECOND, "feedback", "drive", "a", number=1, data=0),
         Record(30 * SECOND, "end", "drive", "a", status="SUCCEEDED", data="there"),
     )

@@ -141,10 +141,11 @@ async def test_the_goal_waits_for_an_agent_that_is_behind_and_for_one_that_has_g
     stream, goal = followed(most_kept)
     with anyio.fail_after(PATIENCE):
         async with anyio.create_task_group() as tasks:
-            stream.give(*feedback(1, 1))
+            (first,) = feedback(1, 1)
+            stream.give(first)
             tasks.start_soon(goal.follow)
             updates = goal.updates()
-            assert (await anext(updates)).update == feedback(1, 1)[0]
+            assert (await anext(updates)).update is first
             if goes:
                 await updates.aclose()
                 updates = goal.updates((1, 1))

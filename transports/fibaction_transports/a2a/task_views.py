@@ -89,7 +89,7 @@ def task_of(goal: AgentGoal[Skill], *, is_whole: bool = True) -> Task:
         if (artifact := artifact_of(goal)) is not None:
             task.artifacts.append(artifact)
     elif goal.newest is not None:
-        update = feedback_event(goal, goal.newest, goal.updated_at)
+        update = feedback_event(goal, goal.newest)
         task.status.message.CopyFrom(update.status.message)
         task.metadata.MergeFrom(update.metadata)
     return task
@@ -132,17 +132,15 @@ def agent_message(part: Part, message_id: str = "status") -> Message:
 def update_event(goal: AgentGoal[Skill], entry: KeptUpdate) -> TaskStatusUpdateEvent:
     """Return the update that tells what is kept."""
     if isinstance(entry.update, FeedbackItem):
-        return feedback_event(goal, entry.update, entry.time)
+        return feedback_event(goal, entry.update)
     text = "canceling" if entry.update is GoalStatus.CANCELING else ""
     return _event(goal, status_of(STATES[entry.update], entry.time, text))
 
 
-def feedback_event(
-    goal: AgentGoal[Skill], item: FeedbackItem, seconds: float
-) -> TaskStatusUpdateEvent:
-    """Return the update of a feedback: its data, its number, and where to continue after it."""
+def feedback_event(goal: AgentGoal[Skill], item: FeedbackItem) -> TaskStatusUpdateEvent:
+    """Return the update of a feedback: its data, time, number, and where to continue after it."""
     where = str(item.number) if item.attempt == 1 else f"{item.attempt}.{item.number}"
-    status = status_of(TaskState.TASK_STATE_WORKING, seconds)
+    status = status_of(TaskState.TASK_STATE_WORKING, item.at / 1e9)
     part = data_part(goal.action.feedback, item.payload)
     status.message.CopyFrom(agent_message(part, f"feedback-{where}"))
     event = _event(goal, status)
