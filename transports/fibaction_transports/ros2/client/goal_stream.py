@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from msgspec.structs import replace
+
 from fibaction.border.abc import FeedbackItem, GoalStream, GoalUpdate, Notifier
 from fibaction.words.errors import ActionError, copy_of
 from fibaction.words.goals import GoalID, GoalInfo, Outcome
@@ -149,7 +151,7 @@ class RosGoalStream(GoalStream):
             self._items.clear()
             self._received = before + len(kept)
             for number, (item, publisher) in enumerate(kept, before + 1):
-                self._items.append((FeedbackItem(number, item.payload), publisher))
+                self._items.append((replace(item, number=number), publisher))
 
     def _is_of_its_server(self, publisher: bytes) -> bool:
         return not (self._publishers and publisher) or publisher in self._publishers
@@ -214,7 +216,7 @@ class RosGoalStream(GoalStream):
         item, _ = self._items.popleft()
         self.cursor = item.number
         self._delivered += 1
-        return FeedbackItem(item.number, self.decoder.feedback(item.payload))
+        return replace(item, payload=self.decoder.feedback(item.payload))
 
     def known_outcome(self) -> Outcome[bytes] | None:
         self._raise_error()
