@@ -1,7 +1,7 @@
 """`python -m tests.tools.benchmarks all`: measure everything, as `make bench` does it.
 
-`dds` measures goals over `dds://`, with the Python of ROS 2, and prints JSON. `page` makes the
-pictures and the tables of the docs again, of what was measured last.
+`dds` and `topics` measure goals and messages over DDS, with the Python of ROS 2, and print JSON.
+`page` makes the pictures and the tables of the docs again, of what was measured last.
 
 Machines are shared and noisy, so every figure stands beside another that was measured in turn with
 it, in the same run: read the ratios.
@@ -17,7 +17,9 @@ from importlib.metadata import version
 
 import anyio
 
-from tests.tools.benchmarks import dds, suite
+from tests.tools.benchmarks import dds, suite, topics
+
+ON_ROS = {"dds": dds.measure, "topics": topics.measure}
 
 
 def scale(text: str) -> float:
@@ -34,7 +36,7 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("subject", choices=["all", "page", "dds"])
+    parser.add_argument("subject", choices=["all", "page", *ON_ROS])
     parser.add_argument(
         "--scale", type=scale, default=1.0, help="how much of each to do: less is quicker"
     )
@@ -49,7 +51,7 @@ def main() -> None:
             "python": platform.python_version(),
             "machine": platform.machine(),
             "versions": {name: version(name) for name in ("anyio", "msgspec")},
-            **anyio.run(dds.measure, arguments.scale),
+            **anyio.run(ON_ROS[arguments.subject], arguments.scale),
         }
         print(json.dumps(report, indent=2))
 

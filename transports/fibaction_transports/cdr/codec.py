@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from inspect import signature
 from itertools import starmap
 from operator import attrgetter, itemgetter
 from typing import Any, Final
@@ -163,29 +164,18 @@ def _getter(paths: Sequence[str]) -> Callable[[Any], Sequence[Any]]:
     return get if len(paths) > 1 else lambda message: (get(message),)
 
 
-def _builder(
-    cls: Callable[..., Any],
-    leaves: Sequence[tuple[str, int]],
-    messages: Sequence[tuple[str, _Build]],
-) -> _Build:
+def _builder(cls: Callable[..., Any], makers: Mapping[str, _Build], leaves: slice) -> _Build:
     """Return a function that makes a struct of the values of a row.
 
-    Both are by the names of attributes: the indexes of values, and what makes the nested structs.
+    `makers` are by the names of attributes; `leaves` are the values if no message is nested.
     """
-
-    names = [name for name, _ in leaves]
-    indexes = [index for _, index in leaves]
-    start, end = (indexes[0], indexes[-1] + 1) if indexes else (0, 0)
-    are_in_a_row = end - start == len(indexes)
-    pick: Any = itemgetter(slice(start, end)) if are_in_a_row else itemgetter(*indexes)
-
-    def build(values: Sequence[Any]) -> Any:
-        fields = dict(zip(names, pick(values), strict=True))
-        for name, part in messages:
-            fields[name] = part(values)
-        return cls(**fields)
-
-    return build
+    taken = signature(cls).parameters
+    if [*taken] != [*makers] or any(one.kind is one.KEYWORD_ONLY for one in taken.values()):
+        return lambda values: cls(**{name: make(values) for name, make in makers.items()})
+    if leaves.stop:
+        return lambda values: cls(*values[leaves])
+    in_order = [*makers.values()]
+    return lambda values: cls(*[make(values) for make in in_order])
 
 
 class _Row:
@@ -247,17 +237,18 @@ class _Layouts:
         if not message.definition.fields:
             row.add_dummy(".".join(names))
             return lambda values: cls()
-        leaves: list[tuple[str, int]] = []
-        messages: list[tuple[str, _Build]] = []
+        makers: dict[str, _Build] = {}
+        start, is_flat = len(row.paths), True
         for field in message.definition.fields:
             below = (*names, field.name), (*path, attribute(field.name))
             nested = message.nested.get(field.name)
             if nested is not None and not field.type.is_array:
-                messages.append((attribute(field.name), self._add(row, nested, *below)))
+                makers[attribute(field.name)] = self._add(row, nested, *below)
+                is_flat = False
             else:
                 step = self._part(field, ".".join(below[0]), nested)
-                leaves.append((attribute(field.name), row.add(step, ".".join(below[1]))))
-        return _builder(cls, leaves, messages)
+                makers[attribute(field.name)] = itemgetter(row.add(step, ".".join(below[1])))
+        return _builder(cls, makers, slice(start, start + len(makers) if is_flat else 0))
 
     def _part(
         self, field: FieldDefinition, name: str, nested: InterfaceMessage | None

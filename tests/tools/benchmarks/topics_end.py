@@ -1,0 +1,140 @@
+"""`python -m tests.tools.benchmarks.topics_end stock|fibaction|rclpy`: one end of the topics.
+
+It takes orders as lines of JSON, with a name and a number, and answers each. `stock` publishes and
+counts for the two others, each of which has topics of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable
+from threading import Thread
+from typing import Any
+
+import anyio
+
+LARGE = bytes(1_000_000)
+PERIODS = {"small": 0.001, "flood": 0.0, "large": 1 / 30}
+"""The seconds between two messages."""
+CONTENDERS = ("fibaction", "rclpy")
+SMALL_TYPE, LARGE_TYPE = "geometry_msgs/msg/Twist", "std_msgs/msg/UInt8MultiArray"
+
+
+DEPTH = 10_000
+
+
+class Heard:
+    """The number of messages that have arrived, and the seconds from the first to the last."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._first = self._last = 0.0
+
+    def note(self, message: object) -> None:
+        self._last = time.perf_counter()
+        self._first = self._first if self._count else self._last
+        self._count += 1
+
+    def taken(self) -> tuple[int, float]:
+        """Return both, and begin anew."""
+        found = self._count, self._last - self._first
+        self._count = 0
+        return found
+
+
+def say(value: object) -> None:
+    print(json.dumps(value), flush=True)
+
+
+def ticks(times: int, period: float) -> Iterable[float]:
+    """Yield so many times the seconds until the next message is due."""
+    due = time.perf_counter()
+    for _ in range(times):
+        due += period
+        yield max(0.0, due - time.perf_counter())
+
+
+def stock(*names: str) -> None:
+    """Publish for, and hear, each of these; one of them is what this is measured as."""
+    import rclpy
+    from geometry_msgs.msg import Twist
+    from rclpy.executors import SingleThreadedExecutor
+    from std_msgs.msg import UInt8MultiArray
+
+    rclpy.init()
+    is_peer = len(names) > 1
+    node = rclpy.create_node("benchmark_peer" if is_peer else "benchmark_rclpy")
+    to, back = ("to", "from") if is_peer else ("from", "to")
+    small, large, heard = {}, {}, {name: Heard() for name in names}
+    for name in names:
+        small[name] = node.create_publisher(Twist, f"{to}_{name}", DEPTH)
+        large[name] = node.create_publisher(UInt8MultiArray, f"large_{to}_{name}", 10)
+        node.create_subscription(Twist, f"{back}_{name}", heard[name].note, DEPTH)
+        node.create_subscription(UInt8MultiArray, f"large_{back}_{name}", heard[name].note, 10)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    Thread(target=executor.spin, daemon=True).start()
+    say("ready")
+    for line in sys.stdin:
+        order = json.loads(line)
+        what, _, name = order["do"].partition(" ")
+        if what == "heard":
+            say(heard[name].taken())
+            continue
+        for wait in ticks(order["times"], PERIODS[what]):
+            if wait:
+                time.sleep(wait)  # noqa: TID251  # programs of rclpy block
+            if what == "large":
+                large[name].publish(UInt8MultiArray(data=LARGE))
+            else:
+                twist = Twist()
+                twist.linear.x = wait
+                small[name].publish(twist)
+        say("done")
+
+
+async def ours(name: str) -> None:
+    """The same with fibaction."""
+    from fibaction_transports.ros2 import Subscription, open_node
+
+    heard = Heard()
+
+    async def hear(messages: Subscription[Any]) -> None:
+        async for message in messages:
+            heard.note(message)
+
+    async with (
+        open_node("dds://benchmark_fibaction") as node,
+        anyio.create_task_group() as tasks,
+    ):
+        small = node.publisher(f"from_{name}", SMALL_TYPE, depth=DEPTH)
+        large = node.publisher(f"large_from_{name}", LARGE_TYPE)
+        tasks.start_soon(hear, node.subscribe(f"to_{name}", SMALL_TYPE, depth=DEPTH))
+        tasks.start_soon(hear, node.subscribe(f"large_to_{name}", LARGE_TYPE))
+        say("ready")
+        read: Callable[[], str] = sys.stdin.readline
+        while line := await anyio.to_thread.run_sync(read, abandon_on_cancel=True):
+            order = json.loads(line)
+            what, _, name = order["do"].partition(" ")
+            if what == "heard":
+                say(heard.taken())
+                continue
+            for wait in ticks(order["times"], PERIODS[what]):
+                if wait:
+                    await anyio.sleep(wait)
+                if what == "large":
+                    await large.publish({"data": LARGE})
+                else:
+                    await small.publish({"linear": {"x": wait}})
+            say("done")
+        tasks.cancel_scope.cancel()
+
+
+if __name__ == "__main__":
+    end = sys.argv[1]
+    if end == "fibaction":
+        anyio.run(ours, end)
+    else:
+        stock(*(CONTENDERS if end == "stock" else [end]))
