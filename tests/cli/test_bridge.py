@@ -70,6 +70,26 @@ def test_a_bridge_waits_for_what_is_named_and_survives_the_server(
     assert ended(again).code == 0
 
 
+def test_a_bridge_of_several_urls_serves_each_in_a_namespace_and_waits_for_those_that_are_away(
+    tmp_path: Path, folder: Path, started: Start, here: Run, tcp: str
+) -> None:
+    far, near = f"unix://{tmp_path}/far", f"unix://{tmp_path}/near"
+    bridge = started("bridge", f"arm={tcp}", f"base={far}", near)
+    (said,) = lines_until("", bridge)
+    assert said == f"bridging from {tcp}, {far} to {near}, Ctrl-C stops it\n"
+    assert bridge.stderr is not None
+    told = ""
+    server = started("serve", "robot:several", far)
+    while not ("served as /arm/fibonacci" in told and "served as /base/count" in told):
+        told += bridge.stderr.readline()
+    for name, goal in (("arm/fibonacci", "order: 4"), ("base/count", "3")):
+        done = here("send_goal", name, goal, url=near)
+        assert (done.code, done.lines[-1]) == (0, "Goal finished with status: SUCCEEDED")
+    for process in (server, bridge):
+        process.send_signal(SIGTERM)
+        assert ended(process).code == 0
+
+
 def test_the_goals_go_on_when_a_bridge_is_stopped(
     tmp_path: Path, started: Start, here: Run, tcp: str
 ) -> None:
@@ -104,6 +124,14 @@ def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str
     result = invoke("bridge", nobody, nobody)
     assert result.exit_code == ExitCode.USAGE
     assert result.stderr == "Error: FROM_URL and TO_URL are the same: a bridge needs two\n"
+
+    result = invoke("bridge", f"a={nobody}", f"b={nobody}", "unix:///tmp/never", "count")
+    assert result.exit_code == ExitCode.USAGE
+    assert "are for a bridge with one FROM_URL" in result.stderr
+
+    result = invoke("bridge", f"a={nobody}", f"b={nobody}", "nats://127.0.0.1:1/robots?worker=a")
+    assert result.exit_code == ExitCode.USAGE
+    assert "so a bridge to it has one FROM_URL" in result.stderr
 
     result = invoke("bridge", nobody, "unix:///tmp/never")
     assert result.exit_code == ExitCode.UNREACHABLE

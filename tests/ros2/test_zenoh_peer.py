@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from time import perf_counter
 from typing import Any, TypeAlias
 
@@ -17,6 +18,7 @@ import pytest
 from fibaction import (
     ActionClient,
     ActionServer,
+    ClientConnection,
     ConnectionLost,
     GoalStatus,
     UnknownGoal,
@@ -28,15 +30,19 @@ from tests.ros2.stock import orders
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
-from tests.ros2.test_two_middlewares import Text, echo, execute_echo
+from tests.ros2.test_two_middlewares import FAST_DDS, Text, echo, execute_echo
 from tests.ros2.zenoh_peer import middleware, router_for
+from tests.support.bridging import bridge
 from tests.support.fibonacci import Feedback, Goal, Result
 from tests.support.ports import free_port
 from tests.support.zenoh_router import start_router
+from tests.transports.cyclone.dds_end import cyclone_server, new_name
+from tests.transports.cyclone.partner import needs_cyclone
 
 Client: TypeAlias = ActionClient[Goal, Feedback, Result]
 
 WHERE = "zenoh:///ours"
+FILES = Path(__file__).parents[2] / "examples/ros2"
 PATIENCE = 60.0
 MANY = int(os.environ.get("FIBACTION_ZENOH_GOALS", "300"))
 """Goals one by one: 10,000 show the longest pause of released servers."""
@@ -219,6 +225,37 @@ async def test_goals_run_on_while_the_router_is_away_and_when_it_is_back(
             assert await client.call(Goal(2)) == Result([0, 1, 1])
     finally:
         await anyio.to_thread.run_sync(router.close)
+
+
+@needs_cyclone
+async def test_one_bridge_serves_robots_on_three_middlewares_to_one_client(tmp_path: Path) -> None:
+    near, cyclone_name = f"unix://{tmp_path}/near", new_name()
+    names = ("dds/stock", f"dds/{cyclone_name}", "zenoh/stock")
+    calls = dict.fromkeys(names, 0)
+
+    async def use(connection: ClientConnection, name: str) -> None:
+        client = connection.client(action(name))
+        for _ in range(60):
+            async with client.send_goal(Goal(4)) as goal:
+                heard = [one.partial_sequence async for one in goal.feedback]
+                assert await goal.result() == Result([0, 1, 1, 2, 3])
+            assert heard == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
+            calls[name] += 1
+
+    with anyio.fail_after(PATIENCE):
+        async with (
+            peer("server", **FAST_DDS),
+            cyclone_server(cyclone_name),
+            peer("server", **middleware("zenoh")),
+            bridge(f"dds=dds://?search={FILES}", f"zenoh=zenoh://?search={FILES}", near),
+            connect(near) as connection,
+        ):
+            while not {one.name for one in await connection.actions()} >= set(names):
+                await anyio.sleep(0.1)
+            async with anyio.create_task_group() as tasks:
+                for name in names:
+                    tasks.start_soon(use, connection, name)
+    assert calls == dict.fromkeys(names, 60)
 
 
 async def test_participants_that_come_and_go_disturb_nobody() -> None:

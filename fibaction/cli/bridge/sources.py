@@ -21,7 +21,8 @@ from fibaction.cli.bridge.actions import BridgedActions
 from fibaction.cli.bridge.ends import BridgeEnd
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.process.exit_codes import Failure
+from fibaction.cli.output.lines import note
+from fibaction.cli.process.exit_codes import Failure, message_of
 from fibaction.observe.action_listener import PERIOD
 from fibaction.observe.sources import ListedServer, Sources
 from fibaction.types import ros_messages
@@ -100,6 +101,8 @@ class SourceServer:
                     actions = await self.begin(connection, end)
                     await actions.follow()
             except ActionError as exc:
+                if self._absence.reason != str(exc):
+                    note(f"{self.name} is tried again: {message_of(exc)}")
                 self._absence = Absence(self._absence.since, str(exc))
             await anyio.sleep(PERIOD)
 
@@ -122,9 +125,10 @@ class SourceServer:
         """Serve the actions that an open connection has now, and return them."""
         renames = Renames(target=Namespace.parse(self.name)) if self.name else AS_THEY_ARE
         self._connection = connection
-        self._actions = BridgedActions(connection, renames, end)
-        await self._actions.look()
-        return self._actions
+        actions = BridgedActions(connection, renames, end)
+        await actions.look()
+        self._actions = actions  # not before: it counts as reached from now on
+        return actions
 
     async def info(self) -> ListedServer:
         """Return the line of the list of servers."""

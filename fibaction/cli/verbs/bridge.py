@@ -14,11 +14,12 @@ from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import names_of, no_action, shown
 from fibaction.cli.arguments.completion import ACTION, NAMESPACE, namespace_option
-from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import reject_inproc
 from fibaction.cli.bridge.actions import BridgedActions
 from fibaction.cli.bridge.ends import open_end
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.cli.bridge.sources import BridgedSources, named_urls
 from fibaction.cli.output.lines import note, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.process.logs import log_events, log_with_time
@@ -38,9 +39,10 @@ Examples:
   fibaction bridge tcp://127.0.0.1:7400 ros2:// fibonacci
   fibaction bridge ros2:// tcp://127.0.0.1:7400 -n /robot1
   fibaction bridge tcp://robot1:7400 ros2:// --into /robot1
-  fibaction bridge ros2:// tcp://127.0.0.1:7400 pick --rename pick=grasp""",
+  fibaction bridge ros2:// tcp://127.0.0.1:7400 pick --rename pick=grasp
+  fibaction bridge arm=dds:// base=zenoh:// tcp://127.0.0.1:7400""",
 )
-@click.argument("from_url", metavar="FROM_URL")
+@click.argument("from_url", metavar="[NAME=]FROM_URL...")
 @click.argument("to_url", metavar="TO_URL")
 @click.argument("names", metavar="[NAME]...", nargs=-1, type=ACTION)
 @namespace_option
@@ -74,13 +76,26 @@ def bridge_command(
     With --namespace, a NAME or OLD without a slash in front is relative to the namespace, and with
     --into, NEW is relative to that one.
 
+    The actions of several FROM_URLs are each in a namespace, which is the NAME before the URL, or
+    else its host or its scheme. Those that are not there are tried again.
+
     Ctrl-C or SIGTERM ends the bridge; the goals continue at their server. A second one ends it at
     once.
     """
-    if from_url == to_url:
+    more = [name for name in names if "://" in name]
+    names = names[len(more) :]
+    *from_urls, to_url = (from_url, to_url, *more)
+    sources = named_urls(from_urls)
+    if to_url in sources.values():
         raise Failure("FROM_URL and TO_URL are the same: a bridge needs two")
-    reject_inproc(from_url)
     reject_inproc(to_url)
+    if more:
+        if names or rules or into or namespace != ROOT:
+            raise Failure("names, and options for them, are for a bridge with one FROM_URL")
+        with log_with_time():
+            run(bridge_several, sources, to_url, uvloop=True)
+    ((name, from_url),) = sources.items()
+    into = into or (Namespace.parse(name) if name else None)
     renames = Renames.parse(rules, namespace, into)
     full_names = list(map(namespace.absolute, names))
     if full_names:
@@ -119,6 +134,25 @@ async def bridge(
             await _bridge_named(connection, from_url, to_url, names, renames, stop)
         else:
             await _bridge_all(connection, from_url, to_url, renames, stop)
+    return ExitCode.SUCCEEDED
+
+
+async def bridge_several(urls: dict[str, str], to_url: str) -> int:
+    """Serve at one URL the actions of several, by their names, until a signal comes.
+
+    Raises:
+        Failure: Actions cannot come and go at this URL.
+        TransportError: It cannot be used.
+    """
+    sources, to = BridgedSources(urls), without_settings(to_url)
+    async with stop_signals() as stop, open_end(to_url) as end:
+        if not end.can_change:
+            raise Failure(f"the actions at {to} stay the same, so a bridge to it has one FROM_URL")
+        async with Background() as tasks:
+            for source in sources.all:
+                tasks.start_soon(source.serve, end)
+            say(f"bridging from {sources} to {end.where or to}, Ctrl-C stops it")
+            await stop.wait()
     return ExitCode.SUCCEEDED
 
 

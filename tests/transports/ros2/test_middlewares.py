@@ -16,6 +16,8 @@ from fibaction import ActionServer, connect, serve
 from fibaction.border.abc import Diagnosis
 from fibaction.border.urls import transport_for
 from fibaction_transports.ros2.node import middlewares
+from fibaction_transports.ros2.on_zenoh import node
+from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS
 from fibaction_transports.ros2.on_zenoh.node import NO_NODES, NO_ROUTER
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, fibonacci
@@ -98,10 +100,10 @@ async def test_the_middleware_that_the_environment_names_is_told(
 
 
 async def test_zenoh_says_whether_a_router_answers(
-    router: int, caplog: pytest.LogCaptureFixture
+    router: int, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    domain = int(os.environ["ROS_DOMAIN_ID"])
-    nowhere = f"zenoh://127.0.0.1:{free_port()}?{QUIET}"
+    domain, port = int(os.environ["ROS_DOMAIN_ID"]), free_port()
+    nowhere = f"zenoh://127.0.0.1:{port}?{QUIET}"
     alone = await diagnosed(nowhere)
     beside = await until(lambda found: found.facts["zenoh_routers"], "zenoh://?domain_id=101")
     async with connect(nowhere) as connection:
@@ -109,11 +111,19 @@ async def test_zenoh_says_whether_a_router_answers(
 
     assert not alone.is_found
     assert not beside.is_found
-    assert alone.advice == (NO_ROUTER,)
+    told = NO_ROUTER.format(f"tcp/127.0.0.1:{port}")
+    assert alone.advice == (told,)
     assert beside.advice == (f"{NO_NODES} ROS_DOMAIN_ID 101 there, too?",)
     assert (alone.facts["domain"], alone.facts["zenoh_routers"]) == (domain, [])
     assert len(beside.facts["zenoh_routers"]) == 1
-    assert caplog.messages == [f"no action was found: {NO_ROUTER}"]
+    assert caplog.messages == [f"no action was found: {told}"]
+
+    caplog.clear()
+    monkeypatch.setattr(node, "ROUTER_PAUSE", 0.0)
+    monkeypatch.setenv(ATTEMPTS, "1")
+    async with connect(nowhere) as connection:
+        assert await connection.actions() == []
+    assert caplog.messages == [told]
 
 
 async def test_zenoh_says_what_is_served_and_why_an_action_cannot_be_used(tmp_path: Path) -> None:

@@ -406,7 +406,7 @@ async def test_a_router_is_looked_for_as_the_environment_says(
     attempts: str, told: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def times() -> int:
-        return caplog.text.count(NO_ROUTER)
+        return caplog.text.count(NO_ROUTER.format(f"tcp/127.0.0.1:{port}"))
 
     monkeypatch.setattr(node, "ROUTER_PAUSE", 0.05)
     monkeypatch.setenv(ATTEMPTS, attempts)

@@ -296,7 +296,8 @@ class RosConnection(Connection):
         hints, self._hints = self._hints, None
         if hints is not None:
             trouble = (await self._ros.links()).trouble
-            for hint in [*([trouble] if trouble else []), *await hints()]:
+            new = [trouble] if trouble and trouble not in self._ros.told else []
+            for hint in [*new, *await hints()]:
                 logger.warning("no action was found: %s", hint)
 
     async def interface_texts(self, action: ActionInfo) -> dict[str, str]:

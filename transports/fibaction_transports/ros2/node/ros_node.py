@@ -209,7 +209,7 @@ class NodeLife:
     def __init__(self) -> None:
         self._lost: list[Callable[[ConnectionLost], None]] = []
         self.told: set[str] = set()
-        """The other versions of types that users have been told of, by an error or by the log."""
+        """The problems that users have been told of, by an error or by the log."""
 
     @property
     def is_up(self) -> bool:

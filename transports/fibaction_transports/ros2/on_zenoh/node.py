@@ -51,8 +51,8 @@ from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.own_node import OwnNode
 
 NO_ROUTER = (
-    "no router and no peer of Zenoh is connected: `ros2 run rmw_zenoh_cpp rmw_zenohd` starts a"
-    " router, or, without ROS, `fibaction router`"
+    "no router and no peer of Zenoh is connected (tried {}): `ros2 run rmw_zenoh_cpp rmw_zenohd`"
+    " starts a router, or, without ROS, `fibaction router`"
 )
 NO_NODES = (
     "the router has heard of no other node of this domain: nodes that were started before it was"
@@ -91,6 +91,7 @@ class ZenohNode(OwnNode):
         )
         self._parts: dict[NodePart, zenoh.LivelinessToken] = {}
         """The parts, each with the token that announces it."""
+        self._no_router = NO_ROUTER.format(session.locators)
         self._links: dict[str, None] = {}
         self._had_link = False
         self._hear_links()
@@ -157,7 +158,8 @@ class ZenohNode(OwnNode):
                 while not self._links:
                     await self.graph.news.wait()
             if not self._links:
-                logger.warning(NO_ROUTER)
+                self.told.add(self._no_router)
+                logger.warning(self._no_router)
 
     def _announce(self, token: str) -> zenoh.LivelinessToken:
         declared = self.session.session.liveliness().declare_token(token)
@@ -245,7 +247,7 @@ class ZenohNode(OwnNode):
             "zenoh_peers": [str(one) for one in peers],
         }
         if not (routers or peers):
-            return Links(facts, NO_ROUTER)
+            return Links(facts, self._no_router)
         if self.graph.nodes() <= {self.full_name}:
             return Links(facts, f"{NO_NODES} ROS_DOMAIN_ID {self._domain} there, too?")
         return Links(facts, "")

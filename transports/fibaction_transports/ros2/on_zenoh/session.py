@@ -27,6 +27,7 @@ the library are not there, and opening would wait for them forever.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from itertools import count
@@ -117,9 +118,11 @@ class SendingThread:
 class SharedSession:
     """An open session of this process."""
 
-    def __init__(self, session: zenoh.Session) -> None:
-        self.session = session
-        self.zid = str(session.zid())
+    def __init__(self, config: zenoh.Config) -> None:
+        self.locators = re.sub(r'[]["]', "", config.get_json("connect/endpoints"))
+        """The routers or peers to connect to."""
+        self.session = zenoh.open(config)
+        self.zid = str(self.session.zid())
         """The ID of the session."""
         self.sender = SendingThread()
         self.numbers = count()
@@ -153,7 +156,7 @@ def _join(configuration: Configuration) -> SharedSession:
         shared = _OPEN.get(configuration.key)
         if shared is None:
             _OPENERS.add(os.getpid())
-            shared = _OPEN[configuration.key] = SharedSession(zenoh.open(configuration.made()))
+            shared = _OPEN[configuration.key] = SharedSession(configuration.made())
         shared.users += 1
         return shared
 
@@ -204,6 +207,7 @@ class ZenohSession:
 
     def __init__(self, shared: SharedSession) -> None:
         self.session = shared.session
+        self.locators = shared.locators
         self.zid = shared.zid
         self.numbers = shared.numbers
         self.is_closed = False
