@@ -250,7 +250,7 @@ async def test_one_bridge_serves_robots_on_three_middlewares_to_one_client(tmp_p
             bridge(f"dds=dds://?search={FILES}", f"zenoh=zenoh://?search={FILES}", near),
             connect(near) as connection,
         ):
-            while not {one.name for one in await connection.actions()} >= set(names):
+            while not {one.name for one in await connection.actions()} >= set(names):  # noqa: ASYNC110
                 await anyio.sleep(0.1)
             async with anyio.create_task_group() as tasks:
                 for name in names:

@@ -1,6 +1,6 @@
 """Goals each second over Zenoh, with fibaction and rclpy at either end, in turns.
 
-    FIBACTION_ZENOH_PEER=PREFIX .venv-ros/bin/python -m tests.ros2.zenoh_rates
+    FIBACTION_ZENOH_PEER=PREFIX .venv-ros/bin/python -m tests.ros2.zenoh_rates [start | memory]
 
 The rate of a pair is the best of its rounds: a machine that does other things slows some of them.
 """
@@ -10,22 +10,29 @@ from __future__ import annotations
 import os
 import sys
 from collections import defaultdict
+from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 
 import anyio
 
 from fibaction import ActionClient, connect, serve
+from fibaction_transports.ros2.on_zenoh.node import ZenohNode
+from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
+from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import peer
 from tests.ros2.stock.server import RESULT_TIMEOUT
 from tests.ros2.stock.telling import say
+from tests.ros2.test_two_middlewares import FAST_DDS
 from tests.ros2.zenoh_peer import middleware, router_for
 from tests.support.fibonacci import Feedback, Goal, Result
 
 GOALS = 100
 AT_ONCE = 200
 ROUNDS = 8
+STARTS = 12
 SERVERS = {"stock": "stock_hasty", "ours": "ours"}
 """The action of each server. Both forget their goals soon, since the lists of statuses, which have
 all of them, cost a stock client more than anything else.
@@ -82,6 +89,39 @@ async def measure() -> None:
         print(f"{name:28} {1 / best:7.0f}/s {usual / best:6.1f} times the stock pair")
 
 
+async def start() -> None:
+    """Print how long a program takes to its first goal, and to know 50 other participants."""
+    with router_for("zenoh"):
+        async with peer("server", **middleware("zenoh")), peer("server", **FAST_DDS):
+            for url in ("zenoh:///new", "zenoh:///new?mode=client", "dds://new"):
+                found: list[float] = []
+                for _ in range(STARTS):
+                    began = perf_counter()
+                    async with connect(url, action("stock")) as client:
+                        assert await client.call(Goal(1)) == Result([0, 1])
+                    found.append(perf_counter() - began)
+                print(f"{url:25} first goal after {median(found) * 1e3:.0f} ms")
+        async with AsyncExitStack() as opened:
+            known = [await opened.enter_async_context(new_node(one)) for one in range(50)]
+            for one in known:
+                await know(one, 51)
+            async with new_node(50) as late:
+                began = perf_counter()
+                await know(late, 52)
+                print(f"50 participants known after {(perf_counter() - began) * 1e3:.0f} ms")
+
+
+async def know(node: ZenohNode, count: int) -> None:
+    """Wait until a node knows so many, itself included."""
+    await node.until(lambda: len(node.nodes()) >= count)
+
+
+def new_node(number: int) -> AbstractAsyncContextManager[ZenohNode]:
+    """Return a node with a session of its own."""
+    settings = ZenohSettings(mode="client", config=f"queries_default_timeout={500_000 + number}")
+    return ZenohAdapter(NodeSettings(f"n{number}"), settings).open()
+
+
 def threads_and_memory() -> tuple[int, int]:
     """Return the number of threads of this process, and its memory in kilobytes."""
     lines = Path("/proc/self/status").read_text().splitlines()
@@ -101,5 +141,5 @@ async def memory() -> None:
 
 if __name__ == "__main__":
     os.environ.setdefault("ROS_DOMAIN_ID", "93")
-    way = {"serve": serve_ours, "memory": memory}.get(sys.argv[-1], measure)
+    way = {"serve": serve_ours, "memory": memory, "start": start}.get(sys.argv[-1], measure)
     anyio.run(way)

@@ -83,9 +83,10 @@ def bridge_command(
     once.
     """
     more = [name for name in names if "://" in name]
-    names = names[len(more) :]
-    *from_urls, to_url = (from_url, to_url, *more)
-    sources = named_urls(from_urls)
+    names = tuple(name for name in names if name not in more)
+    urls = [from_url, to_url, *more]
+    to_url = urls.pop()
+    sources = named_urls(urls)
     if to_url in sources.values():
         raise Failure("FROM_URL and TO_URL are the same: a bridge needs two")
     reject_inproc(to_url)
