@@ -95,6 +95,14 @@ class ArchiveProcess(RobotProcess):
         return ["tests.browser.archive", self.url, str(self._file)]
 
 
+class RosRobotProcess(RobotProcess):
+    """A process of a robot with topics over DDS."""
+
+    def program(self) -> list[str]:
+        """Return the module to run, and its arguments."""
+        return ["tests.browser.ros_robot", self.url]
+
+
 class ConsoleProcess(RobotProcess):
     """A process of `fibaction console` with a recording, or with servers."""
 

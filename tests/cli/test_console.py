@@ -128,15 +128,16 @@ def test_a_browser_is_opened_where_there_are_windows(
     assert console.can_open(environment, platform) is can
 
 
-@pytest.mark.parametrize("is_recording", [False, True])
+@pytest.mark.parametrize("shown", ["a server", "servers", "a recording"])
 def test_no_browser_is_opened_where_none_is_wanted(
-    is_recording: bool, tmp_path: Path, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+    shown: str, tmp_path: Path, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "today.jsonl"
     file.write_text('{"time":1,"event":"server","action":"count"}\n')
     monkeypatch.setattr(console, "say", lambda _: signal.raise_signal(SIGTERM))
     monkeypatch.setattr(webbrowser, "open", pytest.fail)
-    result = invoke("console", str(file) if is_recording else tcp, "--no-open")
+    given = {"a server": [tcp], "servers": [tcp, tcp], "a recording": [str(file)]}[shown]
+    result = invoke("console", *given, "--no-open")
     assert result.exit_code == ExitCode.SUCCEEDED
 
 

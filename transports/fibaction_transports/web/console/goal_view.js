@@ -1,14 +1,14 @@
 /** One goal: what was sent beside its result, its feedback as charts and text, and its cancel. */
 
 import { shapeOf } from "./action_shape.js";
-import { Chart, Cursor } from "./chart.js";
 import { Comparison } from "./comparison.js";
 import { button, h, setText, show } from "./dom.js";
+import { FeedbackView } from "./feedback_view.js";
 import { GoalFamily } from "./goal_family.js";
 import { labelsOf } from "./goal_filter.js";
 import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
-import { Planes } from "./plane.js";
+import { Topics } from "./topics.js";
 import { textOf } from "./values.js";
 
 const A_LINE = 24;
@@ -30,9 +30,7 @@ export class GoalView {
     const redraw = () => this.updateFeedback(this.record);
     this.log = h("details", { ontoggle: redraw }, h("summary", {}, "Messages"), this.lines);
     this.feedbackTitle = h("h3", {}, "Feedback");
-    this.chartList = h("div", { class: "charts" });
-    this.planeList = h("div", {});
-    this.imageList = h("div", {});
+    this.shown = h("div", {});
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
@@ -43,7 +41,7 @@ export class GoalView {
     this.comparison = new Comparison({ onstop: () => this.setBasis("") });
     this.labels = h("p", { class: "labels" });
     this.onlabel = onlabel;
-    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.planeList, h("div", { class: "beside" }, this.chartList, this.imageList), this.text, this.latest, this.log);
+    this.feedback = h("div", { class: "feedback" }, this.feedbackTitle, this.shown, this.text, this.latest, this.log);
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
@@ -57,24 +55,20 @@ export class GoalView {
       this.reason,
       h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal, this.goalImages), h("div", {}, h("h3", {}, "Result"), this.result, this.resultImages)),
       this.feedback,
+      new Topics(store, record.info).element,
     );
     this.take(record);
   }
 
   take(record) {
     this.record = record;
-    this.series = record.series;
-    this.cursor = new Cursor(() => this.moveCursor());
-    this.charts = record.series.charts.map((chart) => new Chart(chart, this.cursor));
-    this.chartList.replaceChildren(...this.charts.map((chart) => chart.element));
-    const shape = shapeOf(record.info);
-    this.planes = new Planes(shape.places);
-    this.planeList.replaceChildren(this.planes.element);
-    const places = { goal: this.goalImages, feedback: this.imageList, result: this.resultImages };
-    this.images = Object.entries(places).map(([of, place]) => {
-      const images = new Images(shape.images[of], of);
-      place.replaceChildren(images.element);
-      return [of, images];
+    this.view = new FeedbackView(record);
+    this.shown.replaceChildren(this.view.element);
+    const { images } = shapeOf(record.info);
+    this.images = [["goal", this.goalImages], ["result", this.resultImages]].map(([of, place]) => {
+      const views = new Images(images[of], of);
+      place.replaceChildren(views.element);
+      return [of, views];
     });
   }
 
@@ -97,7 +91,7 @@ export class GoalView {
 
   /** Show the goal as it is now. */
   update(record) {
-    if (record.series !== this.series) {
+    if (record.series !== this.view.series) {
       this.take(record);
     }
     this.record = record;
@@ -116,21 +110,8 @@ export class GoalView {
     const isKnown = this.mayUseAgain && record.goal !== undefined;
     show(this.again, isKnown);
     show(this.retry, isKnown && !record.isActive && Boolean(record.info));
-    this.showImages(record);
+    this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
-  }
-
-  /** Show the images: those of the feedback as they were at the cursor of the charts. */
-  showImages(record) {
-    const { at } = this.cursor;
-    const isThere = ([time]) => at !== null && (time - record.sentAt) / 1000 <= at;
-    const feedback = record.lines.findLast(isThere)?.[1] ?? record.feedback;
-    this.images.forEach(([of, images]) => images.show(of === "feedback" ? feedback : record[of]));
-  }
-
-  moveCursor() {
-    this.charts.forEach((chart) => chart.draw());
-    this.showImages(this.record);
   }
 
   /** Show the text that the feedback is, and stay at its end unless the person has scrolled. */
@@ -158,11 +139,7 @@ export class GoalView {
       const lines = record.lines.map(([time, value]) => `${((time - record.sentAt) / 1000).toFixed(3)} s  ${textOf(value).replace(/\s+/g, " ")}`);
       setText(this.lines, lines.reverse().join("\n"));
     }
-    this.planes.update(record);
-    for (const chart of this.charts) {
-      show(chart.element, chart.chart.lines.some((line) => line.times.length));
-      chart.draw();
-    }
+    this.view.update(record);
   }
 }
 

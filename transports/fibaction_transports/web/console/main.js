@@ -113,9 +113,8 @@ class Console {
 
   /** Show the recording that the server of the page has, if the address names it. */
   async openServed(name) {
-    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
     try {
-      const answer = await fetch("recording", { headers });
+      const answer = await this.store.ask("recording");
       if (!answer.ok) {
         throw new Error(`the server answers with the status ${answer.status}`);
       }

@@ -66,6 +66,11 @@ export class RecordedStore extends Store {
     this.wanted = null;
   }
 
+  /** A recording has no more than its file. */
+  async fetched() {
+    return null;
+  }
+
   /** Read the file to its end. */
   async start() {
     let count = 0;

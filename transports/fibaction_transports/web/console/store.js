@@ -101,9 +101,14 @@ export class Store {
 
   /** Return what the server has at a path; null if it cannot be read. */
   async fetched(path) {
-    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
-    const answer = await fetch(path, { headers }).catch(() => null);
+    const answer = await this.ask(path).catch(() => null);
     return answer?.ok ? answer.json().catch(() => null) : null;
+  }
+
+  /** Send a request that reads a path. */
+  ask(path, signal = undefined) {
+    const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
+    return fetch(path, { headers, signal });
   }
 
   /** Return since when the server of an action is away, and why; undefined if it is not. */

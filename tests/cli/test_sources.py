@@ -1,0 +1,138 @@
+"""The servers of a console, and their topics, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import aclosing, asynccontextmanager
+from typing import NoReturn
+
+import anyio
+import msgspec
+import pytest
+
+from fibaction import ActionServer, ConnectionLost, TransportError, serve
+from fibaction.cli.bridge import sources
+from fibaction.cli.bridge.ends import open_end
+from fibaction.cli.bridge.sources import BridgedSources
+from fibaction.observe.sources import ListedServer
+from fibaction_transports.ros2 import Node, open_node
+from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.ports import free_port
+from tests.support.ros_domain import own_domain
+
+pytestmark = pytest.mark.anyio
+
+STRING = "std_msgs/msg/String"
+
+
+@asynccontextmanager
+async def bridged(names: dict[str, str]) -> AsyncGenerator[tuple[Node, BridgedSources], None]:
+    """Open a node that publishes, and serve all sources."""
+    found = BridgedSources(names)
+    with own_domain(), anyio.fail_after(60):
+        async with (
+            open_node("dds://talker", arguments=[]) as node,
+            open_end("tcp://127.0.0.1:0") as end,
+            anyio.create_task_group() as tasks,
+        ):
+            for source in found.all:
+                tasks.start_soon(source.serve, end)
+            yield node, found
+            tasks.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize(("name", "topic"), [("", "chatter"), ("arm", "arm/chatter")])
+async def test_a_topic_begins_with_its_type_and_goes_on_with_the_newest_messages(
+    name: str, topic: str
+) -> None:
+    async with bridged({name: "dds://"}) as (node, found):
+        publisher = node.publisher("/chatter", STRING)
+
+        async def talk() -> None:
+            for number in range(1_000_000):
+                await publisher.publish({"data": str(number)})
+                await anyio.sleep(0.01)
+
+        async with anyio.create_task_group() as tasks, aclosing(found.messages(topic)) as pieces:
+            while topic not in found.topics():  # noqa: ASYNC110 - the graph tells of no change
+                await anyio.sleep(0.01)
+            tasks.start_soon(talk)
+            assert found.topics()[topic] == STRING
+            kind, schema = msgspec.msgpack.decode(await anext(pieces))
+            assert kind == STRING
+            assert "data" in schema["$defs"]["String"]["properties"]
+            first, second = [msgspec.msgpack.decode(await anext(pieces)) for _ in range(2)]
+            assert int(first["data"]) < int(second["data"])
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_topic_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "FIND_TOPIC", 0.1)
+    async with bridged({"arm": "dds://", "far": "tcp://127.0.0.1:1"}) as (_, found):
+        while found.all[0].node is None:  # noqa: ASYNC110 - it tells of no change
+            await anyio.sleep(0.01)
+        for topic, told in (
+            ("far/odom", "there is no topic far/odom"),
+            ("arm/odom", "no node has had the topic /odom"),
+        ):
+            with pytest.raises(TransportError, match=told):
+                await anext(found.messages(topic))
+
+
+async def test_a_server_is_listed_as_away_until_it_is_there_and_when_it_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sources, "PERIOD", 0.02)
+    robot = f"tcp://127.0.0.1:{free_port()}"
+    found = BridgedSources({"arm": robot, "far": "tcp://127.0.0.1:1"})
+
+    async def until(*, reached: bool) -> ListedServer:
+        while found.reached()["arm"] is not reached:  # noqa: ASYNC110 - it tells of no change
+            await anyio.sleep(0.01)
+        return (await found.infos())[0]
+
+    with anyio.fail_after(60):
+        async with open_end("tcp://127.0.0.1:0") as end, anyio.create_task_group() as tasks:
+            assert [one.away is not None for one in await found.infos()] == [True, True]
+            for source in found.all:
+                tasks.start_soon(source.serve, end)
+            async with serve(ActionServer(FIBONACCI, fibonacci), robot):
+                listed = await until(reached=True)
+                assert (listed.actions, listed.away, listed.url) == (["arm/fibonacci"], None, robot)
+            gone = await until(reached=False)
+            assert gone.away is not None
+            assert (gone.actions, gone.workers) == (["arm/fibonacci"], [])
+            tasks.cancel_scope.cancel()
+
+
+async def test_a_server_that_cannot_be_connected_to_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sources, "PERIOD", 0.01)
+    tries: list[str] = []
+
+    def refused(url: str) -> NoReturn:
+        tries.append(url)
+        raise ConnectionLost("the brokers are away")
+
+    monkeypatch.setattr(sources, "connect", refused)
+    server = sources.SourceServer("fleet", "tcp://127.0.0.1:1")
+    async with open_end("tcp://127.0.0.1:0") as end, anyio.create_task_group() as tasks:
+        tasks.start_soon(server.serve, end)
+        with anyio.fail_after(20):
+            while len(tries) < 3:  # noqa: ASYNC110 - it tells of no change
+                await anyio.sleep(0.01)
+        assert server.absence is not None
+        assert server.absence.reason == "the brokers are away"
+        tasks.cancel_scope.cancel()
+
+
+async def test_a_fleet_that_does_not_tell_its_workers_is_listed_without_them() -> None:
+    class Away:
+        async def workers(self) -> NoReturn:
+            raise ConnectionLost("the brokers are away")
+
+    server = sources.SourceServer("fleet", "nats://127.0.0.1/fleet?token=x")
+    server._connection = Away()  # type: ignore[assignment]  # a part of a connection
+    info = await server.info()
+    assert (info.workers, info.url) == ([], "nats://127.0.0.1/fleet")
