@@ -308,7 +308,7 @@ async def test_a_server_that_is_not_there_is_not_found(scheme: str) -> None:
 async def test_actions_are_listed_with_their_types(connection: ClientConnection) -> None:
     infos = {info.name: info.type_name for info in await connection.actions()}
 
-    assert infos == dict.fromkeys(("stock", "stock_hasty", "tutorial"), TYPE)
+    assert infos == dict.fromkeys(("stock", "stock_hasty", "stock_usual", "tutorial"), TYPE)
 
 
 class OtherFeedback(msgspec.Struct):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import anyio
 import pytest
 
 from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction._runtime.notify import Notifier
 from fibaction.words.statuses import TRANSITIONS
 from fibaction_transports.ros2.client.status_lists import ReceivedStatuses
 from fibaction_transports.ros2.convert.status_bytes import (
@@ -19,7 +21,12 @@ from fibaction_transports.ros2.convert.status_bytes import (
     unpack_lines,
 )
 from fibaction_transports.ros2.node.stamps import ServedStamps
-from fibaction_transports.ros2.server.served_statuses import REPEAT, ServedStatuses
+from fibaction_transports.ros2.server import served_statuses
+from fibaction_transports.ros2.server.served_statuses import (
+    LONGEST_PAUSE,
+    REPEAT,
+    ServedStatuses,
+)
 from fibaction_transports.ros2.without_ros.clock import OwnClock
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
@@ -97,6 +104,108 @@ async def test_a_change_is_published_in_the_next_turn_of_the_loop() -> None:
         await anyio.wait_all_tasks_blocked()
         tasks.cancel_scope.cancel()
     assert published == [[1], [2]]
+
+
+class Clock:
+    """The time of status lists, which only the test moves."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        self._moved = Notifier()
+        monkeypatch.setattr(served_statuses, "current_time", lambda: self.now)
+        monkeypatch.setattr(anyio, "sleep_until", self._sleep_until)
+
+    async def _sleep_until(self, when: float) -> None:
+        while self.now < when:
+            await self._moved.wait()
+
+    async def move(self, seconds: float) -> None:
+        self.now += seconds
+        self._moved.notify()
+        await anyio.wait_all_tasks_blocked()
+
+
+def number_id(number: int) -> GoalID:
+    return GoalID(number.to_bytes(16, "big"))
+
+
+def with_ended_goals(published: Callable[[bytes], None], count: int) -> ServedStatuses:
+    """Return a list with so many goals that have ended."""
+    statuses = ServedStatuses(published, ServedStamps(OwnClock()))
+    for number in range(count):
+        statuses.update(GoalInfo(number_id(number), 1, GoalStatus.SUCCEEDED))
+    statuses.flush()
+    return statuses
+
+
+ROUND = (GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.SUCCEEDED)
+
+
+@pytest.mark.parametrize("remembered", [10, 1000])
+async def test_the_lists_of_a_series_of_goals_are_bounded_whatever_is_remembered(
+    monkeypatch: pytest.MonkeyPatch, remembered: int
+) -> None:
+    clock = Clock(monkeypatch)
+    lists: list[tuple[float, bytes]] = []
+    statuses = with_ended_goals(lambda one: lists.append((clock.now, one)), remembered)
+    lists.clear()
+    ends: dict[GoalID, float] = {}
+    kept = [number_id(number) for number in range(remembered)]
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(statuses.run)
+        for _ in range(1000):
+            goal_id = GoalID.random()
+            for status in ROUND:
+                statuses.update(GoalInfo(goal_id, 1, status))
+            ends[goal_id] = clock.now
+            kept.append(goal_id)
+            await clock.move(0.001)
+            statuses.update(GoalInfo(kept.pop(0), 1, GoalStatus.UNKNOWN))
+        for _ in range(21):
+            await clock.move(0.001)
+        tasks.cancel_scope.cancel()
+    assert sum(len(one) for _, one in lists) < 1.5e6
+    last = [info_of(line) for line in lines_of(lists[-1][1])]
+    assert [(info.goal_id, info.status) for info in last] == [(one, ROUND[-1]) for one in kept]
+    for goal_id, ended_at in ends.items():
+        told_at = min(when for when, one in lists if bytes(goal_id) in one)
+        assert told_at <= ended_at + LONGEST_PAUSE + 0.0011
+
+
+async def test_a_goal_after_a_pause_has_a_list_for_each_status_whatever_is_remembered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clock(monkeypatch)
+    lists: list[bytes] = []
+    statuses = with_ended_goals(lists.append, 1000)
+    for goal_id in (ONE, TWO):
+        clock.now += 3 * LONGEST_PAUSE
+        lists.clear()
+        for status in ROUND:
+            statuses.update(GoalInfo(goal_id, 1, status))
+        statuses.flush()
+        assert [info_of(lines_of(one)[-1]).status for one in lists] == list(ROUND)
+
+
+async def test_a_goal_that_is_forgotten_at_once_leaves_the_list_after_its_end_was_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = Clock(monkeypatch)
+    lists: list[bytes] = []
+    statuses = with_ended_goals(lists.append, 1000)
+    for status in (*ROUND, GoalStatus.UNKNOWN):
+        statuses.update(GoalInfo(ONE, 1, status))
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(statuses.run)
+        for _ in range(3):
+            await clock.move(LONGEST_PAUSE)
+        tasks.cancel_scope.cancel()
+    said = [
+        [info.status for info in map(info_of, lines_of(one)) if info.goal_id == ONE]
+        for one in lists
+    ]
+    assert said == [[], [1], [2], [4], []]
+    assert ONE not in statuses
 
 
 # Changes that a client finds

@@ -2,7 +2,8 @@
 
     FIBACTION_ZENOH_PEER=PREFIX .venv-ros/bin/python -m tests.ros2.zenoh_rates [start | memory]
 
-The rate of a pair is the best of its rounds: a machine that does other things slows some of them.
+The rate of a pair is the median of its rounds after the first, when both servers remember the goals
+of some time.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, Zenoh
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import peer
-from tests.ros2.stock.server import RESULT_TIMEOUT
 from tests.ros2.stock.telling import say
 from tests.ros2.test_two_middlewares import FAST_DDS
 from tests.ros2.zenoh_peer import middleware, router_for
@@ -33,15 +33,15 @@ GOALS = 100
 AT_ONCE = 200
 ROUNDS = 8
 STARTS = 12
-SERVERS = {"stock": "stock_hasty", "ours": "ours"}
-"""The action of each server. Both forget their goals soon, since the lists of statuses, which have
-all of them, cost a stock client more than anything else.
+SERVERS = {"stock": "stock_usual", "ours": "ours"}
+"""The action of each server. Both remember their goals as long as is the default in rclpy and here:
+a stock client spends most of its time on the lists of statuses, which have all of them.
 """
 
 
 async def serve_ours() -> None:
     """Serve until standard input ends."""
-    async with serve(Behaviour().server("ours", result_timeout=RESULT_TIMEOUT), "zenoh:///ours"):
+    async with serve(Behaviour().server("ours"), "zenoh:///ours"):
         say("ready")
         await anyio.wait_readable(sys.stdin.fileno())
 
@@ -83,10 +83,10 @@ async def measure() -> None:
                         print(f"a turn of stock -> {name} was too long")
                     found[f"ours -> {name}"].append(await one_by_one(client))
                     found[f"ours -> {name}, {AT_ONCE} at once"].append(await at_once(client))
-    usual = min(found["stock -> stock"])
+    usual = median(found["stock -> stock"][1:])
     for name, seconds in found.items():
-        best = min(seconds)
-        print(f"{name:28} {1 / best:7.0f}/s {usual / best:6.1f} times the stock pair")
+        one = median(seconds[1:])
+        print(f"{name:28} {1 / one:7.0f}/s {usual / one:6.1f} times the stock pair")
 
 
 async def start() -> None:

@@ -1,4 +1,6 @@
-"""A stock server of rclpy: `/stock`, and `/stock_hasty`, which forgets results quickly."""
+"""A stock server of rclpy: `/stock`, `/stock_usual` with the default of rclpy for the time that
+results are kept, and `/stock_hasty`, which forgets them quickly.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ class Server:
         self.node = rclpy.create_node("stock_server")
         self._deferred: list[Any] = []
         self._released = Event()
-        for name, seconds in (("stock", 60), ("stock_hasty", RESULT_TIMEOUT)):
+        for name, seconds in (
+            ("stock", 60),
+            ("stock_usual", 10),
+            ("stock_hasty", RESULT_TIMEOUT),
+        ):
             ActionServer(
                 self.node,
                 Fibonacci,

@@ -155,10 +155,10 @@ async def connect_ros2(address: str) -> AsyncGenerator[Contender, None]:
 
 
 @asynccontextmanager
-async def serve_dds() -> AsyncGenerator[str, None]:
+async def serve_dds(**settings: Any) -> AsyncGenerator[str, None]:
     name = os.environ[ACTION_NAME]
     servers = (
-        ActionServer(action_of_ros(name), execute_of_ros),
+        ActionServer(action_of_ros(name), execute_of_ros, **settings),
         ActionServer(large_action_of_ros(name), execute_large),
     )
     async with fibaction.serve(servers, "dds://benchmark_server"):
@@ -186,6 +186,12 @@ ENDS = {
     "slow_fleet": Ends(serve_slow_fleet, connect),
     "ros2": Ends(serve_ros2, connect_ros2),
     "dds": Ends(serve_dds, connect_dds),
+    **{
+        f"dds_{count}": Ends(
+            partial(serve_dds, max_results=count, result_timeout=math.inf), connect_dds
+        )
+        for count in (10, 1000)
+    },
 }
 """The ways beside `tcp://`, by their names."""
 

@@ -226,7 +226,7 @@ class RosActionServer:
         await anyio.lowlevel.checkpoint()  # statuses from before the cancel are published first
         for one in answer.goals_canceling:
             self._statuses.update(one)
-        self._statuses.flush()
+        self._statuses.publish_if_due()
         response = self._impl.CancelGoalService.Response()
         response.return_code = int(answer.return_code)
         canceling = [self._statuses.in_ros(one) for one in answer.goals_canceling]
@@ -296,7 +296,7 @@ class RosActionServer:
             if status.is_terminal:
                 self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
             await anyio.lowlevel.checkpoint()  # one list tells the ends of all goals of this turn
-            self._statuses.flush()
+            self._statuses.publish_if_due()
             await forwarder.hand_over(response)
         finally:
             del self._forwarders[goal_id]
