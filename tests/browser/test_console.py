@@ -8,7 +8,8 @@ import signal
 import struct
 import zlib
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -1000,3 +1001,20 @@ def test_a_goal_that_is_left_and_shown_again_has_its_feedback_once(
     assert lengths == sorted(set(lengths), reverse=True)
     times = [float(line.split(" s")[0]) for line in lines]
     assert times == sorted(times, reverse=True)
+
+
+def test_a_page_that_is_opened_late_has_each_feedback_at_the_time_of_its_report(
+    browser: Browser, page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot)
+    running = send(page, order="11")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+    with closing(browser.new_context()) as stranger:
+        late = stranger.new_page()
+        open_action(late, robot)
+        row(late, running).get_by_role("link", name=running, exact=True).click()
+        expect(goal(late)).to_contain_text("Feedback: 10 messages")
+        goal(late).get_by_text("Messages", exact=True).click()
+        lines = goal(late).locator("details pre").inner_text().splitlines()
+    times = [float(line.split(" s")[0]) for line in reversed(lines)]
+    assert all(after - before > 0.04 for before, after in pairwise(times)), "50 ms, and not at once"

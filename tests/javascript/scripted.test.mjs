@@ -120,14 +120,28 @@ test("calls are opened anew before the program hears that the connection is read
   const sending = connection.sendGoal("count", { to: 3 }, { id: "ab".repeat(16) });
   const [tag, number] = sockets[0].said[1];
   assert.equal(tag, SEND_GOAL);
-  sockets[0].hear([FOLLOWING, number, 5, 2, false, 0], [FEEDBACK, number, 1, encode(1)]);
+  sockets[0].hear([FOLLOWING, number, 5, 2, false, 0], [FEEDBACK, number, 1, encode(1), 2n ** 60n]);
   const goal = await sending;
   assert.deepEqual((await goal.feedback.next()).value, 1);
+  assert.equal(goal.at, 2n ** 60n);
   sockets[0].cut();
   connection.onstate = (state) => state === "ready" && connection.actions();
   const second = nextSocket().open();
   assert.deepEqual(second.said.map(([one]) => one), [HELLO, FOLLOW, LIST_ACTIONS]);
   assert.equal(second.said[1][4], 1); // the feedback after which to go on
+});
+
+test("feedback of a server that does not tell its time has that of the arrival", async () => {
+  const connection = connect();
+  sockets[0].open();
+  const sending = connection.sendGoal("count", { to: 3 });
+  const [, number] = sockets[0].said[1];
+  const before = Date.now();
+  sockets[0].hear([FOLLOWING, number, 5, 2, false, 0], [FEEDBACK, number, 1, encode(1)]);
+  const goal = await sending;
+  assert.equal(goal.at, 0n);
+  await goal.feedback.next();
+  assert.ok(Number(goal.at) / 1e6 >= before && Number(goal.at) / 1e6 <= Date.now());
 });
 
 test("what is no message ends the connection for good, and the server is told", async () => {

@@ -191,7 +191,9 @@ def test_parameters_allow_what_the_server_accepts() -> None:
         assert re.search(other["pattern"], text)
         assert cancel_stamp_of(text, 10**18, is_local=False)
     assert not any(re.search(other["pattern"], text) for text in ("", "0", "0" * 19, "now"))
-    goal_id, after = (one["schema"]["pattern"] for one in events["get"]["parameters"])
+    goal_id, after, times = (one["schema"] for one in events["get"]["parameters"])
+    assert times == {"type": "boolean"}
+    goal_id, after = goal_id["pattern"], after["pattern"]
     assert not re.fullmatch(goal_id, "0" * 32)
     assert re.fullmatch(goal_id, f"{1:032x}")
     assert all(re.fullmatch(after, one) for one in ("17", "2.17", "end"))

@@ -276,6 +276,13 @@ async def test_events_go_on_behind_the_last_one() -> None:
         held.go_on.set()
         end = await fetch(url, "GET", where, last_event_id="5")
         assert [name for name, _, _ in end.events] == ["accepted", "result"]
+        timed = await fetch(url, "GET", f"{where}?times=true")
+        plain = await fetch(url, "GET", where)
+        accepted, *feedback, _ = [data for _, _, data in timed.events]
+        assert [one["feedback"] for one in feedback] == [data for _, _, data in plain.events[1:-1]]
+        ended = await fetch(url, "GET", f"{GOALS}/{ID}")
+        times = [accepted["stamp"], *(one["at"] for one in feedback), ended.json["ended_at"]]
+        assert times == sorted(times), "when it was reported, and not when it was asked for"
         nothing = await fetch(url, "GET", where, last_event_id="end")
         assert (nothing.status, nothing.body) == (204, b"")
 
@@ -431,7 +438,7 @@ async def test_a_cancel_of_chosen_goals_that_is_rejected_has_its_reason() -> Non
         ("GET", f"{GOALS}?stauts=EXECUTING", "did you mean status?"),
         ("GET", "/actions?x=1", "it has none"),
         ("GET", f"{GOALS}/{ID}?after=3", "it has wait"),
-        ("GET", f"{GOALS}/{ID}/events?wait=3", "it has after"),
+        ("GET", f"{GOALS}/{ID}/events?wait=3", "it has after, times"),
         ("POST", f"{GOALS}?wiat=10", "did you mean wait?"),
         ("PUT", f"{GOALS}/{ID}?lable=a=b", "did you mean label?"),
     ],
@@ -526,6 +533,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("GET", f"{GOALS}?parent=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),
+        ("GET", f"{GOALS}/{ID}/events?times=", None, {}, 400),
         ("PATCH", GOALS, None, {}, 405),
         ("GET", "/actions", None, {"origin": "http://evil.example"}, 403),
         ("GET", "/actions", None, {"origin": "null"}, 403),

@@ -104,19 +104,19 @@ export class GoalRecord {
     this.endedAt = endedAt ? millisecondsOf(endedAt) : this.endedAt;
   }
 
-  /** Take one feedback message, whose number counts in an attempt. */
-  addFeedback(feedback, number, attempt, now = Date.now()) {
+  /** Take one feedback message, whose number counts in an attempt, and that was reported at a time. */
+  addFeedback(feedback, number, attempt, at = Date.now()) {
     this.isThin = false;
     this.feedback = feedback;
     this.feedbackCount = number;
     Object.assign(this, { number, attempt: attempt ?? 1 });
     this.progress = this.readProgress(feedback) ?? this.progress;
-    this.recent.push([now, feedback]);
+    this.recent.push([at, feedback]);
     if (this.recent.length > 2 * this.mostLines) {
       this.recent.splice(0, this.mostLines);
     }
     this.text.add(feedback, number, attempt);
-    this.series.add(feedback, (now - this.sentAt) / 1000);
+    this.series.add(feedback, (at - this.sentAt) / 1000);
     this.trails.forEach((trail) => trail.add(feedback));
   }
 

@@ -10,7 +10,7 @@
  * the state of the connection. What is known of its active goals is from the time before.
  */
 
-import { ACTIVE, GoalRecord } from "./goal_record.js";
+import { ACTIVE, GoalRecord, millisecondsOf } from "./goal_record.js";
 import { timeOf } from "./goal_text.js";
 import { isWithin } from "./scope.js";
 import { stored } from "./values.js";
@@ -395,7 +395,7 @@ export class Store {
   async readFeedback(record, handle) {
     try {
       for await (const feedback of handle.feedback) {
-        record.addFeedback(feedback, handle.number, handle.attempt);
+        record.addFeedback(feedback, handle.number, handle.attempt, millisecondsOf(handle.at));
         this.change();
       }
     } catch {

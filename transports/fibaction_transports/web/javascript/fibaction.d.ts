@@ -141,6 +141,11 @@ export interface Goal<Action extends ActionTypes = AnyAction> {
   /** The attempt that `number` counts in. */
   readonly attempt: number;
   /**
+   * Time when the executor reported that feedback, as `stamp`; 0 before the first. Where the server
+   * does not tell it, as one of ROS, it is the time of the arrival here or at a bridge.
+   */
+  readonly at: bigint;
+  /**
    * The feedback, for one `for await`, which ends with the goal. While it is read slowly, the
    * executor waits or the oldest is lost, as the server's policy says. To leave the loop is to stop
    * the feedback; the outcome still comes.

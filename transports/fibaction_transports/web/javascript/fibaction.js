@@ -164,6 +164,7 @@ function tell(callback, value) {
 class Goal {
   onstatus = null;
   number = 0;
+  at = 0n;
   _status = 0;
   _items = [];
   _readers = [];
@@ -239,11 +240,12 @@ class Goal {
     tell(this.onstatus, this.status);
   }
 
-  [FEEDBACK](number, payload) {
+  [FEEDBACK](number, payload, at) {
     if (number <= this._last) return;
     this._dropped += number - this._last - 1;
     this._last = number;
-    if (this._reads) this._items.push([number, this._attempt, decode(payload)]);
+    at = BigInt(at ?? Date.now() * 1e6);
+    if (this._reads) this._items.push([number, this._attempt, at, decode(payload)]);
     this._makeRoom();
     this._deliver();
   }
@@ -289,8 +291,8 @@ class Goal {
       else if (!item) resolve({ done: true });
       else {
         this._connection._grant(this, 1);
-        [this.number, this.attempt] = item;
-        resolve({ done: false, value: item[2] });
+        [this.number, this.attempt, this.at] = item;
+        resolve({ done: false, value: item[3] });
       }
     }
   }

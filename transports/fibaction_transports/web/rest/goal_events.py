@@ -65,6 +65,8 @@ class GoalEvents:
 
     feedback: JsonCodec
     result: JsonCodec
+    has_times: bool = False
+    """True if the data of feedback has the time at which it was reported."""
 
     def accepted(self, stream: GoalStream) -> str:
         """Return the first event of a goal, with the newest status of it."""
@@ -78,7 +80,10 @@ class GoalEvents:
         """
         if isinstance(update, FeedbackItem):
             cursor = Cursor(update.number, update.attempt)
-            return event("feedback", self.feedback.to_text(update.payload), str(cursor))
+            data = self.feedback.to_text(update.payload)
+            if self.has_times:
+                data = f'{{"at":"{update.at}","feedback":{data}}}'
+            return event("feedback", data, str(cursor))
         if isinstance(update, Outcome):
             members = self.outcome_members(update) | {"feedback_dropped": stream.dropped}
             return event("result", _json(members), END)

@@ -311,6 +311,9 @@ class RestInterface:
     async def _follow_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         last = exchange.headers.get("last-event-id") or exchange.parameter("after")
         cursor = Cursor() if last is None else cursor_of(last)
+        times = exchange.parameter("times")
+        if times not in (None, "true", "false"):
+            raise Refused(400, "times is true or false")
         endpoint = await self._own_or_observed(client, route)
         if cursor is None:
             await exchange.answer(204, b"")  # a browser comes back after the end, too
@@ -321,7 +324,8 @@ class RestInterface:
                 exchange.begin_events(200)
                 await exchange.end()
                 return
-            await tell_goal(exchange, _events_of(endpoint), stream, 200)
+            events = _events_of(endpoint, has_times=times == "true")
+            await tell_goal(exchange, events, stream, 200)
 
     # Cancels
 
@@ -372,9 +376,9 @@ def _described(endpoint: Endpoint) -> dict[str, Any]:
     return described if endpoint.absence is None else {**described, "away": endpoint.absence}
 
 
-def _events_of(endpoint: Endpoint) -> GoalEvents:
-    info = endpoint.info
-    return GoalEvents(JsonCodec({}, "feedback"), JsonCodec({}, f"result of {info.name!r}"))
+def _events_of(endpoint: Endpoint, *, has_times: bool = False) -> GoalEvents:
+    result = JsonCodec({}, f"result of {endpoint.info.name!r}")
+    return GoalEvents(JsonCodec({}, "feedback"), result, has_times)
 
 
 def _payload(codec: JsonCodec, body: bytes, pause: Pause | None) -> bytes:

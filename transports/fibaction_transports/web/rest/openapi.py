@@ -238,6 +238,12 @@ _AFTER = _parameter(
     {"type": "string", "pattern": r"^(end|([1-9][0-9]{0,8}\.)?[0-9]{1,18})$"},
 )
 
+_TIMES = _parameter(
+    "times",
+    "With `true`, the data of feedback is `at`, the time at which it was reported in nanoseconds"
+    " since 1970, and `feedback`.",
+    {"type": "boolean"},
+)
 
 _DESCRIPTIONS = {
     "describe": "The action, with the JSON Schemas of its messages.",
@@ -352,7 +358,7 @@ class _Described:
         paths[f"{base}/goals/{{goal_id}}"] = self._one_goal()
         events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
         paths[f"{base}/goals/{{goal_id}}/events"] = {
-            "get": self._operation("events", "Follow a goal.", events, _GOAL_ID, _AFTER)
+            "get": self._operation("events", "Follow a goal.", events, _GOAL_ID, _AFTER, _TIMES)
         }
 
     def _statistics(self) -> Json:

@@ -55,7 +55,7 @@ PARAMETERS = {
     (Resource.GOALS, "DELETE"): (*FILTERS, "before"),
     (Resource.GOAL, "GET"): ("wait",),
     (Resource.GOAL, "PUT"): ("wait", "label"),
-    (Resource.EVENTS, "GET"): ("after",),
+    (Resource.EVENTS, "GET"): ("after", "times"),
     (Resource.SEARCH, "GET"): (*FILTERS, "action", "search", "sort", "limit", "offset"),
 }
 """The parameters of each resource and method; the others have none."""
