@@ -9,10 +9,10 @@ from collections.abc import Generator
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import FilePayload, Locator, Page, expect
 
 from tests.browser.served import ConsoleProcess, RobotProcess
-from tests.browser.test_console import NewRobot, action, drive, goal, open_action, row, send
+from tests.browser.test_console import NewRobot, action, drive, goal, open_action, png, row, send
 
 LONG = "2000"
 
@@ -110,6 +110,53 @@ def test_a_console_that_is_killed_and_started_again_shows_its_servers_again(
     expect(action(page, "south/fibonacci")).to_be_visible()
     page.goto(f"{console.url}/#servers")
     expect(line(page, "north")).to_contain_text("connected")
+
+
+def test_all_robots_are_on_one_map_with_a_ground_and_one_that_goes_stays_where_it_was(
+    page: Page, console: ConsoleProcess, north: RobotProcess
+) -> None:
+    for name in ("south", "north"):
+        page.goto("about:blank")
+        page.goto(f"{console.address}&/{name}/arm/drive")
+        expect(page.get_by_role("heading", name=f"{name}/arm/drive")).to_be_visible()
+        page.get_by_label("gear").select_option("fast" if name == "south" else "slow")
+        send(page)
+    action(page, "Map").click()
+    expect(line(page, "south/arm/drive")).to_contain_text(re.compile("2, 1.*succeeded"))
+    expect(line(page, "north/arm/drive")).to_contain_text("executing")
+    drawn = page.get_by_role("img", name=re.compile(r"^From above \(m\): position"))
+    expect(drawn).to_be_visible()
+
+    page.get_by_text("Image as the ground").click()
+    before = drawn.evaluate("canvas => canvas.toDataURL()")
+    picture = FilePayload(name="hall.png", mimeType="image/png", buffer=png((9, 200, 9), 100))
+    page.get_by_label("Image", exact=True).set_input_files(picture)
+    green = """() => {
+      const canvas = document.querySelector(".plane canvas");
+      if (!canvas?.width) return false;
+      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      return data.some((one, at) => at % 4 === 1 && one > data[at - 1] + 90);
+    }"""
+    page.wait_for_function(green)
+    assert drawn.evaluate("canvas => canvas.toDataURL()") != before
+    wrong = FilePayload(name="a.txt", mimeType="text/plain", buffer=b"no image")
+    page.get_by_label("Image", exact=True).set_input_files(wrong)
+    expect(page.get_by_role("alert")).to_contain_text("a.txt is not an image")
+
+    os.kill(north.pid, signal.SIGSTOP)
+    expect(line(page, "north/arm/drive")).to_contain_text("was executing")
+    os.kill(north.pid, signal.SIGCONT)
+    expect(line(page, "north/arm/drive")).not_to_contain_text("was executing")
+    north.kill()
+    north.start()
+    expect(line(page, "north/arm/drive")).to_contain_text("unknown")
+    page.get_by_label("Search robots").fill("south")
+    expect(line(page, "north/arm/drive")).to_have_count(0)
+    page.reload()
+    page.wait_for_function(green)
+    is_accessible(page)
+    line(page, "south/arm/drive").get_by_role("link").click()
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
 
 
 # Of what a person is told

@@ -75,3 +75,15 @@ def test_a_topic_is_beside_a_goal_if_its_action_names_it_or_a_person_adds_it(
     camera.get_by_role("button", name="Remove").click()
     expect(camera).to_have_count(0)
     expect(odom).to_be_visible()
+
+
+def test_a_topic_with_a_pose_is_on_the_map(page: Page, console: ConsoleProcess) -> None:
+    page.goto(console.address)
+    page.get_by_role("navigation").get_by_role("link", name="Map").click()
+    choice = page.get_by_label("Add a topic")
+    choice.focus()
+    expect(choice).to_contain_text("base/odom (nav_msgs/msg/Odometry)")
+    choice.select_option("base/odom")
+    robot = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name="base/odom"))
+    expect(robot).to_contain_text("topic")
+    until_another(page, robot)

@@ -1,5 +1,6 @@
 /** The list of actions, with the number of active goals of each. */
 
+import { shapeOf } from "./action_shape.js";
 import { arrange, h, markCurrent, setText, show } from "./dom.js";
 import { linkTo, openLink } from "./goal_text.js";
 import { isWithin, namespacesOf } from "./scope.js";
@@ -11,6 +12,7 @@ export class ActionList {
     this.search = h("input", { type: "search", placeholder: "Search actions", "aria-label": "Search actions", oninput: () => this.update(), onkeydown: (event) => event.key === "Enter" && this.open() });
     this.all = this.item("", "All actions");
     this.servers = this.item("", "Servers", "#servers");
+    this.map = this.item("", "Map", "#map");
     this.list = h("ul", {});
     this.note = h("p", { class: "note" });
     this.elements = [this.search, this.list, this.note];
@@ -43,7 +45,10 @@ export class ActionList {
     }
     this.mark(this.all, !shown.action && !this.store.view);
     this.mark(this.servers, this.store.view === "#servers", servers.some(({ away }) => away) ? "away" : 0);
-    arrange(this.list, [this.all.element, ...(servers.length ? [this.servers.element] : []), ...shownItems]);
+    this.mark(this.map, this.store.view === "#map");
+    const isMapped = servers.length || [...actions.values()].some((info) => shapeOf(info).places.feedback.length);
+    const views = [this.all, ...(servers.length ? [this.servers] : []), ...(isMapped ? [this.map] : [])];
+    arrange(this.list, [...views.map(({ element }) => element), ...shownItems]);
     this.names = names;
     show(this.note, names.length === 0);
     const none = this.store.isDescribed ? "No action is served." : "Not connected yet.";

@@ -8,6 +8,7 @@ import { askToken, showKeys } from "./dialogs.js";
 import { h, setText, show } from "./dom.js";
 import { linkTo } from "./goal_text.js";
 import { History } from "./history.js";
+import { MapPage } from "./map_page.js";
 import { Notices } from "./notices.js";
 import { RecordedStore } from "./recording.js";
 import { Store } from "./store.js";
@@ -16,7 +17,7 @@ import { ServersPage } from "./servers_page.js";
 import { showSettings } from "./settings.js";
 import { setUpTheme } from "./theme.js";
 
-const VIEWS = { "#servers": ServersPage }; // in place of the page of an action
+const VIEWS = { "#servers": ServersPage, "#map": MapPage }; // in place of the page of an action
 const TICK = 500;
 const TICKS_OF_PLACES = 4;
 const KEYS = [

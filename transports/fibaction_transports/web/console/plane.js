@@ -7,6 +7,7 @@ import { counted } from "./goal_text.js";
 import { PlaneZoom, listenToPlane } from "./plane_zoom.js";
 
 const HEIGHT = 280;
+const LARGE = 520;
 const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
 const PARTS = ["feedback", "goal", "result"];
 const LEAST = { plane: 1, map: 2e-4 }; // what is shown of the axes at least
@@ -14,8 +15,9 @@ const METERS = 111_320; // of one degree of latitude
 const ARROW = 15;
 
 /** One place in the plane, as it is now. */
-class Layer {
+export class Layer {
   constructor(part, place, index) {
+    this.index = index;
     this.part = part;
     this.place = place;
     this.name = [part === "feedback" ? "" : part, place.name].filter(Boolean).join(" ") || "position";
@@ -47,9 +49,10 @@ class Layer {
   }
 }
 
-/** The layers of the same axes and unit. */
-class Plane {
-  constructor(axes, unit) {
+/** The layers of the same axes and unit, perhaps with a ground below them. */
+export class Plane {
+  constructor(axes, unit, { ground = null, isLarge = false } = {}) {
+    Object.assign(this, { ground, isLarge, height: isLarge ? LARGE : HEIGHT });
     this.axes = axes;
     this.layers = [];
     this.drawn = [];
@@ -66,7 +69,7 @@ class Plane {
     this.frame = h("span", {});
     this.keys = h("span", { class: "keys-of-plane" });
     const caption = h("figcaption", {}, h("strong", {}, this.title), this.frame, this.keys, zooms);
-    this.element = h("figure", { class: "chart plane", hidden: true }, caption, this.canvas);
+    this.element = h("figure", { class: `chart plane ${isLarge ? "large" : ""}`, hidden: true }, caption, this.canvas);
   }
 
   /** Draw the part of the zoom, and tell it to a screen reader. */
@@ -88,9 +91,11 @@ class Plane {
     const frame = this.layers.find((layer) => layer.frame)?.frame ?? "";
     this.layers.forEach((layer) => layer.tell(frame));
     setText(this.frame, frame ? `frame ${frame}` : "");
-    arrange(this.keys, this.layers.map((layer) => layer.key));
+    if (!this.isLarge) {
+      arrange(this.keys, this.layers.map((layer) => layer.key));
+    }
     const drawn = this.layers.filter((layer) => layer.isDrawn && layer.points.length);
-    show(this.element, drawn.reduce((sum, layer) => sum + layer.points.length, 0) > 1);
+    show(this.element, drawn.reduce((sum, layer) => sum + layer.points.length, 0) > (this.isLarge ? 0 : 1));
     const names = drawn.map((layer) => `${layer.name} ${layer.value.textContent}`).join("; ");
     this.canvas.setAttribute("aria-label", `${this.title}: ${names}`);
     this.drawn = drawn;
@@ -103,24 +108,29 @@ class Plane {
     if (!width || this.element.hidden) {
       return;
     }
-    const [pen, style] = cleared(this.canvas, HEIGHT);
-    const area = areaOf(layers.flatMap((layer) => layer.points), width, this.axes, this.zoom);
+    const [pen, style] = cleared(this.canvas, this.height);
+    const points = [...layers.flatMap((layer) => layer.points), ...(this.ground?.corners ?? [])];
+    const area = areaOf(points, width, this.axes, this.zoom, this.height);
     const newest = layers[0]?.points.slice(-1)[0]; // such as where a robot is
     const isShown = newest && [0, 1].every((axis) => area.low[axis] <= newest[axis] && newest[axis] <= area.high[axis]);
     this.area = { ...area, focus: isShown ? newest.slice(0, 2) : null };
     show(this.whole, Boolean(this.zoom.part));
     this.element.classList.toggle("zoomed", Boolean(this.zoom.part));
+    this.clip(pen, area, () => this.ground?.draw(pen, area));
     drawGrid(pen, area, width);
     if (this.axes === "map") {
       drawScale(pen, area, style, width);
     }
+    this.clip(pen, area, () => layers.forEach((layer) => drawLayer(pen, layer, area, style)));
+  }
+
+  /** Draw within the axes. */
+  clip(pen, area, draw) {
     pen.save();
     pen.beginPath();
     pen.rect(MARGIN.left, MARGIN.top, ...area.size);
     pen.clip();
-    for (const layer of layers) {
-      drawLayer(pen, layer, area, style.getPropertyValue(layer.color));
-    }
+    draw();
     pen.restore();
   }
 }
@@ -153,14 +163,14 @@ export class Planes {
  * Return the scales, which are the same in both directions: all points are inside, unless a zoom
  * shows a part. A degree of longitude is shorter than one of latitude.
  */
-export function areaOf(points, width, axes, zoom = new PlaneZoom()) {
+export function areaOf(points, width, axes, zoom = new PlaneZoom(), height = HEIGHT) {
   const bounds = [0, 1].map((axis) => [
     points.reduce((least, point) => Math.min(least, point[axis]), Infinity),
     points.reduce((most, point) => Math.max(most, point[axis]), -Infinity),
   ]);
   const center = bounds.map(([low, high]) => (low + high) / 2);
   const squeeze = axes === "map" ? Math.max(Math.cos((center[1] * Math.PI) / 180), 0.01) : 1;
-  const room = [width - MARGIN.left - MARGIN.right, HEIGHT - MARGIN.top - MARGIN.bottom];
+  const room = [width - MARGIN.left - MARGIN.right, height - MARGIN.top - MARGIN.bottom];
   const [sizeX, sizeY] = bounds.map(([low, high]) => high - low);
   const most = 0.9 * Math.min(room[0] / Math.max(sizeX * squeeze, LEAST[axes]), room[1] / Math.max(sizeY, LEAST[axes]));
   const whole = { middle: center, scaleY: most, low: bounds.map(([low]) => low), high: bounds.map(([, high]) => high) };
@@ -171,7 +181,7 @@ export function areaOf(points, width, axes, zoom = new PlaneZoom()) {
   const pointAt = (x, y) => [middle[0] + (x - left) / scaleX, middle[1] - (y - top) / scaleY];
   const halves = [room[0] / scaleX / 2, room[1] / scaleY / 2];
   const [low, high] = [-1, 1].map((side) => middle.map((one, axis) => one + side * halves[axis]));
-  return { at, pointAt, scaleX, scaleY, middle, whole, size: room, low, high };
+  return { at, pointAt, scaleX, scaleY, middle, whole, height, size: room, low, high };
 }
 
 function drawGrid(pen, area, width) {
@@ -186,8 +196,8 @@ function drawGrid(pen, area, width) {
   pen.textBaseline = "alphabetic";
   for (const [tick, text] of labelled(ticksOf(area.low[0], area.high[0], Math.max(2, width / 110)))) {
     const [x] = area.at(tick, 0);
-    drawThrough(pen, [x, MARGIN.top], [x, HEIGHT - MARGIN.bottom]);
-    pen.fillText(text, Math.min(x, width - 20), HEIGHT - 8);
+    drawThrough(pen, [x, MARGIN.top], [x, area.height - MARGIN.bottom]);
+    pen.fillText(text, Math.min(x, width - 20), area.height - 8);
   }
 }
 
@@ -203,8 +213,8 @@ function drawScale(pen, { scaleY }, style, width) {
   pen.fillText(meters >= 1000 ? `${meters / 1000} km` : `${shortNumber(meters)} m`, right, y - 4);
 }
 
-function drawLayer(pen, { points, place, part }, { at }, color) {
-  pen.strokeStyle = pen.fillStyle = color;
+function drawLayer(pen, { points, place, part, label, color }, { at }, style) {
+  pen.strokeStyle = pen.fillStyle = style.getPropertyValue(color);
   pen.lineWidth = 1.8;
   pen.lineJoin = "round";
   pen.setLineDash(part === "goal" ? [6, 4] : []);
@@ -213,6 +223,12 @@ function drawLayer(pen, { points, place, part }, { at }, color) {
   const marked = place.isPath && points.length <= 50 ? points : points.slice(-1);
   for (const [x, y, heading] of marked) {
     drawMarker(pen, at(x, y), place.isPath ? undefined : heading, part === "goal");
+  }
+  if (label) {
+    const [x, y] = at(...points[points.length - 1]);
+    pen.fillStyle = style.getPropertyValue("--text");
+    pen.textAlign = "left";
+    pen.fillText(label, x + 9, y - 7);
   }
 }
 

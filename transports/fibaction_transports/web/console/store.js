@@ -16,6 +16,7 @@ import { isWithin } from "./scope.js";
 import { stored } from "./values.js";
 
 const MOST_FOLLOWED = 20;
+const MOST_ON_MAP = 100;
 const MOST_GOALS = 2000;
 const ASK_AGAIN = 2000;
 const ASK_PLACES = 27; // a message of the protocol that only this page sends
@@ -331,7 +332,7 @@ export class Store {
       return false;
     }
     const followed = [...this.goals.values()].filter((one) => one.handle && one.isActive);
-    return Boolean(record.handle) || followed.length < MOST_FOLLOWED;
+    return Boolean(record.handle) || followed.length < (this.view === "#map" ? MOST_ON_MAP : MOST_FOLLOWED);
   }
 
   /** Follow a goal, if it is wanted and not followed yet. */

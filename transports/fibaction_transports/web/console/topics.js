@@ -98,6 +98,7 @@ class TopicView {
       show(this.latest, true);
       setText(this.latest, textOf(record.feedback));
       this.view.update(record);
+      this.store.change();
     });
   }
 }
@@ -113,6 +114,11 @@ export class Topics {
     this.list = h("div");
     this.element = h("section", { class: "topics", "aria-label": "Topics", hidden: true }, this.list, this.choice);
     this.look();
+  }
+
+  /** The messages of each topic, as the feedback of a goal. */
+  get records() {
+    return [...this.views.values()].map(({ view }) => view?.record).filter(Boolean);
   }
 
   /** Ask which topics there are. */
