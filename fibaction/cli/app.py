@@ -57,8 +57,8 @@ GROUPS = {
     },
     "ROS beside actions": {
         "topic": ("topics", "topic_command", "List, read, measure and publish topics."),
-        "service": ("topics", "service_command", "Call a service."),
-        "param": ("topics", "param_command", "List, read and set parameters of a node."),
+        "service": ("services", "service_command", "List and call services."),
+        "param": ("services", "param_command", "List, read and set parameters of nodes."),
     },
     "Record and replay": {
         "record": ("recordings", "record_command", "Record the goals of a server from outside."),

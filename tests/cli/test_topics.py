@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -54,13 +55,46 @@ def robot() -> Iterator[Robot]:
 
 @pytest.mark.usefixtures("robot")
 def test_topics_are_listed_and_a_message_is_printed(here: Run) -> None:
+    began = time.monotonic()
     listed = here("topic", "list", "-u", "dds://")
-    assert f"/chatter  {STRING}\n" in listed.out
+    assert time.monotonic() - began < 4  # it ends when discovery is complete
+    assert "/chatter\n" in listed.out
+    assert f"/chatter [{STRING}]\n" in here("topic", "list", "-t", "-u", "dds://").out
     as_json = here("topic", "list", "-u", "dds://", "--json").out.splitlines()
     assert {"topic": "/chatter", "type": STRING} in map(json.loads, as_json)
     once = ("topic", "echo", "/chatter", "--once", "-u", "dds://")
     assert here(*once) == (0, "data: hello\n---\n", "")
     assert json.loads(here(*once, "--json").out) == {"data": "hello"}
+
+
+def test_a_topic_is_described_with_its_ends_and_read_with_their_quality_of_service(
+    robot: Robot, here: Run
+) -> None:
+    latched = robot.do(
+        partial(robot.node.publisher, "/map", STRING, qos="best_effort,transient_local")
+    )
+    lasting = robot.do(partial(robot.node.publisher, "/kept", STRING, qos="keep_all"))
+    robot.do(latched.publish, {"data": "kept"})
+    assert here("topic", "echo", "/map", "--once", "-u", "dds://").out == "data: kept\n---\n"
+    told = here("topic", "info", "/map", "-u", "dds://")
+    assert told.out == f"Type: {STRING}\nPublisher count: 1\nSubscription count: 0\n"
+    verbose = here("topic", "info", "/map", "-v", "-u", "dds://").out
+    for line in (
+        "\nNode name: robot\nNode namespace: /\nTopic type: std_msgs/msg/String\n",
+        "\nEndpoint type: PUBLISHER\nGID: ",
+        (
+            "\nQoS profile:\n  Reliability: BEST_EFFORT\n  History (Depth): KEEP_LAST (10)\n"
+            "  Durability: TRANSIENT_LOCAL\n  Lifespan: Infinite\n"
+        ),
+        "\nTopic type hash: RIHS01_",
+        "\nSubscription count: 0\n",
+    ):
+        assert line in verbose
+    assert "(Depth): KEEP_ALL\n" in here("topic", "info", "/kept", "-v", "-u", "dds://").out
+    rosout = here("topic", "info", "/rosout", "-v", "-u", "dds://").out
+    assert "  Lifespan: 10 s\n" in rosout
+    for end in (latched, lasting):
+        robot.do(end.close)
 
 
 @pytest.mark.processes
@@ -88,17 +122,24 @@ def test_the_rate_is_told_as_json_too(here: Run, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(topics, "until_interrupted", a_while)
     told = here("topic", "hz", "/chatter", "-u", "dds://", "--json").out.splitlines()
-    assert set(json.loads(told[0])) == {"rate", "min", "max", "window"}
-    assert "average rate: " in here("topic", "hz", "/chatter", "-u", "dds://").out
+    assert set(json.loads(told[0])) == {"rate", "min", "max", "std_dev", "window"}
+    assert "s std dev: 0.0" in here("topic", "hz", "/chatter", "-u", "dds://").out
     assert here("topic", "echo", "/chatter", "-u", "dds://").out.startswith("data: hello\n---\n")
-    assert here("topic", "pub", "/x", STRING, "data: a", "--rate", "100", "-u", "dds://").code == 0
+    assert here("topic", "pub", "/x", STRING, "data: a", "-r", "100", "-u", "dds://").code == 0
 
 
 def test_a_message_is_published_once_when_someone_reads(robot: Robot, here: Run) -> None:
     heard = robot.do(robot.node.subscribe, "/heard", STRING)
     published = here("topic", "pub", "/heard", STRING, "data: now", "--once", "-u", "dds://")
-    assert published == (0, "", "")
+    assert published == (0, "publishing #1: std_msgs.msg.String(data='now')\n\n", "")
     assert robot.do(heard.next, 5).data == "now"
+    words = ("-t", "2", "-r", "100", "-w", "1", "-u", "dds://")
+    twice = here("topic", "pub", "/heard", STRING, "data: again", *words)
+    assert "publishing #2: " in twice.out
+    assert [robot.do(heard.next, 5).data for _ in range(2)] == ["again", "again"]
+    many = ("-w", "2", "--timeout", "0.5", "-u", "dds://")
+    few = here("topic", "pub", "/heard", STRING, "data: x", *many)
+    assert few.err == "Error: fewer than 2 have subscribed to /heard in 0.5 s\n"
 
 
 def test_a_service_is_called_and_its_answer_printed(robot: Robot, here: Run) -> None:
@@ -106,18 +147,36 @@ def test_a_service_is_called_and_its_answer_printed(robot: Robot, here: Run) -> 
         return {"success": request.data, "message": "done"}
 
     with robot.do(partial(robot.node.serve_service, "/reset", BOOL, answer)):
+        assert "/reset\n" in here("service", "list", "-u", "dds://").out
+        assert f"/reset [{BOOL}]\n" in here("service", "list", "-t", "-u", "dds://").out
         call = ("service", "call", "/reset", BOOL, "data: true", "-u", "dds://")
         assert here(*call) == (0, "success: true\nmessage: done\n", "")
         assert json.loads(here(*call, "--json").out) == {"success": True, "message": "done"}
 
 
-@pytest.mark.usefixtures("robot")
-def test_parameters_are_listed_read_and_refused(here: Run) -> None:
+def test_parameters_are_listed_read_dumped_and_refused(robot: Robot, here: Run) -> None:
     at = ("-u", "dds://")
-    assert here("param", "list", "/robot", *at) == (0, "use_sim_time: false\n", "")
-    assert here("param", "get", "/robot", "use_sim_time", *at) == (0, "false\n", "")
+    for name, value, told in (
+        ("aim", 0.5, "Double value is: 0.5"),
+        ("names", ["a"], "String values are: ['a']"),
+        ("raw", b"a", "Byte values are: b'a'"),
+        ("wheels", 4, "Integer value is: 4"),
+    ):
+        robot.do(robot.node.parameters().declare, name, value)
+        assert here("param", "get", "/robot", name, *at).out == f"{told}\n"
+    names = "  aim\n  names\n  raw\n  use_sim_time\n  wheels\n"
+    assert here("param", "list", "/robot", *at) == (0, names, "")
+    assert here("param", "list", *at) == (0, f"/robot:\n{names}", "")
+    assert here("param", "get", "/robot", "use_sim_time", *at).out == "Boolean value is: False\n"
+    assert here("param", "get", "/robot", "aim", "--hide-type", *at) == (0, "0.5\n", "")
     assert here("param", "get", "/robot", "use_sim_time", "--json", *at).out == "false\n"
-    assert here("param", "set", "/robot", "use_sim_time", "false", *at) == (0, "", "")
+    done = (0, "Set parameter successful\n", "")
+    assert here("param", "set", "/robot", "use_sim_time", "false", *at) == done
+    assert here("param", "set", "/robot", "names", "[]", *at) == done
+    assert here("param", "get", "/robot", "names", *at).out == "Empty values are: []\n"
+    assert here("param", "set", "/robot", "aim", "1.5", *at) == done
+    dumped = here("param", "dump", "/robot", *at).out
+    assert dumped.startswith("/robot:\n  ros__parameters:\n    aim: 1.5\n    names: []\n")
     for verb, text in (
         (("get", "/robot", "speed"), "/robot has no parameter 'speed'"),
         (("set", "/robot", "speed", "1"), "there is no parameter 'speed', only 'use_sim_time'"),
@@ -134,6 +193,10 @@ def test_what_is_not_there_is_one_sentence(here: Run) -> None:
         (("topic", "echo", "/nothing", *QUICK), "no node has had the topic /nothing in 0.1 s"),
         (("topic", "pub", "/x", STRING, "data: a", "--once", *QUICK), "nobody has subscribed"),
         (("topic", "pub", "/x", STRING, "dta: a"), "contains unknown field `dta`"),
+        (("topic", "pub", "/x", STRING, "data: ["), "the message is not valid YAML"),
+        (("service", "call", "/x", BOOL, "data: ["), "the request is not valid YAML"),
+        (("param", "set", "/robot", "x", "["), "the value is not valid YAML"),
+        (("topic", "info", "/nothing", *QUICK), "no node has had the topic /nothing in 0.1 s"),
         (("service", "call", "/nothing", BOOL, *QUICK), "there is no server in 0.1 s"),
     ):
         told = here(*given, "-u", "dds://")

@@ -55,6 +55,9 @@ class Graph(GraphView):
     def nodes(self) -> set[str]:
         return set(self.names)
 
+    def services(self) -> list[tuple[str, str]]:
+        return [("/reset", "std_srvs/srv/Trigger")]
+
     def topics(self) -> list[tuple[str, str]]:
         return [(TOPIC, TYPE)]
 

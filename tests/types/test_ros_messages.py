@@ -24,6 +24,7 @@ from fibaction.ros_types import from_ros, to_ros
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import Codec
 from fibaction.types.ros_classes import INTERFACES, message_class, ros_type_of
+from fibaction.types.ros_messages import plain_value
 from fibaction.words.errors import ProtocolError
 from tests.support.ros_classes import (
     Dock_Feedback,
@@ -191,6 +192,10 @@ def test_a_message_in_the_wrong_place_is_an_error_that_says_where() -> None:
     )
     assert error_of(Place, Place(OurPoint(), marks={"a": Vector3()})) == f"{both} - at `$.marks.a`"
     assert error_of(Typed, {"name": "a", "point": Vector3()}) == f"{both} - at `$.point`"
+
+
+def test_a_message_is_shown_as_plain_data() -> None:
+    assert plain_value({"at": [Point(x=1.0)]}) == {"at": [{"x": 1.0, "y": 0.0, "z": 0.0}]}
 
 
 def test_arrays_of_numbers_may_be_in_any_field() -> None:

@@ -26,6 +26,15 @@ Pairs: TypeAlias = tuple[str, ...]
 PAIR = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):?=(.*)", re.ASCII | re.DOTALL)
 
 
+def read_yaml(text: str, what: str) -> Any:
+    """Return the plain data in a text of YAML or JSON; that of an empty one is `{}`.
+
+    Raises:
+        Failure: The text is not YAML.
+    """
+    return _parse(text, what)
+
+
 def read_goal(text: str | Pairs, schema: dict[str, Any]) -> Any:
     """Return the goal as plain data that can be sent.
 
@@ -129,7 +138,7 @@ cast("Any", _Loader).add_implicit_resolver(  # the stub has no types for it
 )
 
 
-def _parse(text: str) -> Any:
+def _parse(text: str, what: str = "goal") -> Any:
     with suppress(ValueError, RecursionError):
         return json.loads(text)  # faster, and some JSON text is not YAML
     try:
@@ -139,10 +148,10 @@ def _parse(text: str) -> Any:
         mark = exc.problem_mark or exc.context_mark
         where = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
         problem = ", ".join(filter(None, (exc.context, exc.problem)))
-        raise _unusable(f"the goal is not valid YAML{where}: {problem}") from exc
+        raise _unusable(f"the {what} is not valid YAML{where}: {problem}") from exc
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as exc:
         # PyYAML raises any of these for a value with a wrong tag, such as `!!int x`.
-        raise _unusable(f"the goal is not valid YAML: {exc}") from exc
+        raise _unusable(f"the {what} is not valid YAML: {exc}") from exc
 
 
 def _unusable(text: str) -> Failure:

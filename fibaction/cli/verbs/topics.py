@@ -1,86 +1,50 @@
-"""`fibaction topic`, `service` and `param`: what a graph of ROS has beside actions, without ROS."""
+"""`fibaction topic`: the topics of a graph of ROS, without ROS."""
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
 from functools import partial
+from itertools import count, pairwise
 from typing import Any, Final
 
 import anyio
 import click
-import msgspec
 
-from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.goal_input import read_goal
+from fibaction.cli.arguments.goal_input import read_yaml
 from fibaction.cli.arguments.options import full_option, json_option, url_option
+from fibaction.cli.output.escape import printable
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.ros_nodes import (
+    all_option,
+    in_python,
+    run_at,
+    say_names,
+    settled,
+    timeout_option,
+    types_option,
+)
 from fibaction.cli.process.signals import until_interrupted
-from fibaction.types.ros_messages import encode
+from fibaction.types.ros_messages import plain_value
 
-TIMEOUT: Final = 5.0
-"""Seconds to find what a verb is about."""
-LISTENED: Final = 1.0
-"""Seconds in which a list of topics is made, at least."""
-SETTLED: Final = 0.3
-"""Seconds without a new topic after which a list is whole."""
-WINDOW: Final = 1_000
-"""Messages over which `hz` counts."""
+WINDOW: Final = 10_000
+"""Messages over which `hz` counts, as with ROS."""
+PARTING: Final = 0.3
+"""Seconds for the last message to leave, and to be sent again if it is lost."""
 
 qos_option = click.option(
     "--qos", default="", help="sensor_data, or words such as best_effort,transient_local."
 )
-timeout_option = click.option(
-    "--timeout", type=click.FloatRange(0.1), default=TIMEOUT, show_default=True, help="In seconds."
-)
-
-
-@asynccontextmanager
-async def node_at(url: str) -> AsyncGenerator[Any, None]:
-    """Open a node of ROS, for as long as the block lasts.
-
-    Raises:
-        Failure: There is none at this URL, or what the block does is wrong or not answered.
-    """
-    opener = getattr(transport_for(url), "open_node", None)
-    if opener is None:
-        raise Failure(
-            f"{without_settings(url)} has actions only: topics, services and parameters are at"
-            " ros2://, dds:// and zenoh://"
-        )
-    async with opener() as node:
-        try:
-            yield node
-        except (TimeoutError, ValueError) as exc:
-            raise Failure(str(exc)) from exc
-
-
-def plain(message: Any) -> Any:
-    """Return a message of ROS as plain data."""
-    return msgspec.msgpack.decode(encode(message))
 
 
 def show(message: Any, *, full: bool, as_json: bool) -> None:
     """Print a message, as `ros2 topic echo` does."""
     if as_json:
-        say_json(plain(message))
+        say_json(plain_value(message))
     else:
-        say(f"{as_yaml(plain(message), full=full)}\n---")
-
-
-def run_at(url: str, act: Callable[[Any], Awaitable[None]]) -> None:
-    """Run something at a node, and exit."""
-
-    async def at_node() -> int:
-        async with node_at(url) as node:
-            await act(node)
-        return ExitCode.SUCCEEDED
-
-    run(at_node)
+        say(f"{as_yaml(plain_value(message), full=full)}\n---")
 
 
 @click.group(
@@ -96,26 +60,65 @@ def topic_command() -> None:
 
 
 @topic_command.command("list")
+@types_option
+@all_option
 @json_option
 @url_option
-def list_topics(as_json: bool, url: str) -> None:
-    """List the topics of the graph with their types."""
+def list_topics(show_types: bool, is_all: bool, as_json: bool, url: str) -> None:
+    """List the topics of the graph."""
 
     async def act(node: Any) -> None:
-        seen: dict[str, str] = {}
-        quiet = anyio.current_time() + LISTENED
-        while anyio.current_time() < quiet:
-            found = node.topics()
-            if len(found) > len(seen):
-                seen, quiet = found, max(quiet, anyio.current_time() + SETTLED)
-            await anyio.sleep(0.05)
-        for name, type_name in sorted(seen.items()):
-            if as_json:
-                say_json({"topic": name, "type": type_name})
-            else:
-                say(f"{name}  {type_name}")
+        found: dict[str, str] = await settled(node, lambda view: dict(view.topics()))
+        say_names(found, "topic", is_all=is_all, show_types=show_types, as_json=as_json)
 
     run_at(url, act)
+
+
+@topic_command.command("info")
+@click.argument("topic")
+@click.option("-v", "--verbose", is_flag=True, help="Describe each publisher and subscription.")
+@timeout_option
+@url_option
+def describe_topic(topic: str, verbose: bool, timeout: float, url: str) -> None:
+    """Print the type of TOPIC, and who publishes and reads it."""
+
+    async def act(node: Any) -> None:
+        type_name = await node.find_type(topic, timeout=timeout)
+        name = node.full_name(topic)
+        ends: tuple[list[Any], ...] = await settled(
+            node, lambda view: (view.publishers(name), view.subscriptions(name))
+        )
+        say(printable(f"Type: {type_name}"))
+        for kind, found in zip(("Publisher", "Subscription"), ends, strict=True):
+            say(f"\n{kind} count: {len(found)}" if verbose else f"{kind} count: {len(found)}")
+            for end in found if verbose else ():
+                say(f"\n{_described(end, kind, type_name)}")
+
+    run_at(url, act)
+
+
+def _described(end: Any, kind: str, type_name: str) -> str:
+    space, _, name = end.node.rpartition("/")
+    depth = f" ({end.qos.depth})" if end.qos.history == "keep_last" else ""
+    lines = {
+        "Node name": name,
+        "Node namespace": space or "/",
+        "Topic type": type_name,
+        "Topic type hash": end.type_hash or "INVALID",
+        "Endpoint type": kind.upper(),
+        "GID": ".".join(f"{one:02x}" for one in end.gid),
+        "QoS profile": "",
+        "  Reliability": end.qos.reliability.upper(),
+        "  History (Depth)": f"{end.qos.history.upper()}{depth}",
+        "  Durability": end.qos.durability.upper(),
+        "  Lifespan": _seconds(end.qos.lifespan),
+        "  Liveliness lease duration": _seconds(end.qos.lease),
+    }
+    return "\n".join(printable(f"{name}: {value}".rstrip()) for name, value in lines.items())
+
+
+def _seconds(value: float) -> str:
+    return f"{value:g} s" if value < float("inf") else "Infinite"
 
 
 @topic_command.command("echo")
@@ -132,7 +135,7 @@ def echo_topic(
     """Print the messages of TOPIC until Ctrl-C."""
 
     async def act(node: Any) -> None:
-        with await _subscribed(node, topic, qos, timeout) as messages:
+        with await node.follow(topic, qos=qos, depth=100, timeout=timeout) as messages:
             if once:
                 show(await messages.next(timeout), full=full, as_json=as_json)
             else:
@@ -146,11 +149,6 @@ async def _echo(messages: Any, *, full: bool, as_json: bool) -> None:
         show(await messages.next(), full=full, as_json=as_json)
 
 
-async def _subscribed(node: Any, topic: str, qos: str, timeout: float) -> Any:
-    type_name = await node.type_of(topic, timeout=timeout)
-    return node.subscribe(topic, type_name, qos=qos, depth=100)
-
-
 @topic_command.command("hz")
 @click.argument("topic")
 @qos_option
@@ -161,7 +159,7 @@ def measure_topic(topic: str, qos: str, timeout: float, as_json: bool, url: str)
     """Measure how often messages of TOPIC arrive, each second until Ctrl-C."""
 
     async def act(node: Any) -> None:
-        with await _subscribed(node, topic, qos, timeout) as messages:
+        with await node.follow(topic, qos=qos, depth=100, timeout=timeout) as messages:
             await until_interrupted(partial(_measure, messages, as_json=as_json))
 
     run_at(url, act)
@@ -178,13 +176,15 @@ async def _measure(messages: Any, *, as_json: bool) -> None:
             continue
         due = now + 1
         rate = (len(times) - 1) / (times[-1] - times[0])
-        gaps = [later - before for before, later in zip(times, [*times][1:], strict=False)]
+        gaps = [later - before for before, later in pairwise(times)]
+        least, most, spread = min(gaps), max(gaps), statistics.pstdev(gaps)
         if as_json:
-            say_json({"rate": rate, "min": min(gaps), "max": max(gaps), "window": len(times)})
+            told = {"rate": rate, "min": least, "max": most, "std_dev": spread}
+            say_json(told | {"window": len(times)})
         else:
             say(
-                f"average rate: {rate:.3f}\n"
-                f"\tmin: {min(gaps):.3f}s max: {max(gaps):.3f}s window: {len(times)}"
+                f"average rate: {rate:.3f}\n\tmin: {least:.3f}s max: {most:.3f}s"
+                f" std dev: {spread:.5f}s window: {len(times)}"
             )
 
 
@@ -192,8 +192,18 @@ async def _measure(messages: Any, *, as_json: bool) -> None:
 @click.argument("topic")
 @click.argument("type_name", metavar="TYPE")
 @click.argument("message", default="")
-@click.option("--once", is_flag=True, help="Publish one message when someone reads it, and exit.")
-@click.option("--rate", type=click.FloatRange(0.001), default=1.0, help="Messages a second.")
+@click.option("-1", "--once", is_flag=True, help="Publish one message, and exit.")
+@click.option("-t", "--times", type=click.IntRange(1), help="Publish so many, and exit.")
+@click.option(
+    "-r", "--rate", type=click.FloatRange(0.001), default=1.0, help="Messages a second.  [1]"
+)
+@click.option(
+    "-w",
+    "--wait-matching-subscriptions",
+    "readers",
+    type=click.IntRange(0),
+    help="Wait for so many readers first.  [1 with --once or --times, else 0]",
+)
 @qos_option
 @timeout_option
 @url_option
@@ -202,128 +212,31 @@ def publish(
     type_name: str,
     message: str,
     once: bool,
+    times: int | None,
     rate: float,
-    qos: str,
-    timeout: float,
-    url: str,
+    readers: int | None,
+    **given: Any,
 ) -> None:
     """Publish MESSAGE, which is YAML, on TOPIC until Ctrl-C."""
-    value = read_goal(message or "{}", {})
+    value = read_yaml(message, "message")
+    times = 1 if once else times
+    wanted = int(times is not None) if readers is None else readers
 
     async def act(node: Any) -> None:
-        with node.publisher(topic, type_name, qos=qos) as publisher:
-            if once:
-                await publisher.wait_for_reader(timeout)
-                await publisher.publish(value)
-                await anyio.sleep(SETTLED)  # the message leaves, and what is lost is sent again
-                return
+        with node.publisher(topic, type_name, qos=given["qos"]) as publisher:
+            if wanted:
+                await publisher.wait_for_reader(given["timeout"], count=wanted)
+            await until_interrupted(partial(repeat, publisher))
 
-            async def repeat() -> None:
-                while True:
-                    await publisher.publish(value)
-                    await anyio.sleep(1 / rate)
+    async def repeat(publisher: Any) -> None:
+        due = anyio.current_time()
+        for number in count(1):
+            made = publisher.message(value)
+            say(f"publishing #{number}: {in_python(made, type_name)}\n")
+            await publisher.publish(made)
+            if number == times:
+                return await anyio.sleep(PARTING)
+            due += 1 / rate
+            await anyio.sleep_until(due)
 
-            await until_interrupted(repeat)
-
-    run_at(url, act)
-
-
-@click.group(
-    "service",
-    epilog='\b\nExample:\n  fibaction service call /lamp std_srvs/srv/SetBool "data: true" -u dds://',
-)
-def service_command() -> None:
-    """Call services of ROS, at ros2://, dds:// and zenoh:// URLs."""
-
-
-@service_command.command("call")
-@click.argument("service")
-@click.argument("type_name", metavar="TYPE")
-@click.argument("request", default="")
-@timeout_option
-@full_option
-@json_option
-@url_option
-def call_service(
-    service: str,
-    type_name: str,
-    request: str,
-    timeout: float,
-    full: bool,
-    as_json: bool,
-    url: str,
-) -> None:
-    """Send REQUEST, which is YAML, to SERVICE once, and print the answer."""
-    value = read_goal(request or "{}", {})
-
-    async def act(node: Any) -> None:
-        answer = plain(await node.call(service, type_name, value, timeout=timeout))
-        if as_json:
-            say_json(answer)
-        else:
-            say(as_yaml(answer, full=full))
-
-    run_at(url, act)
-
-
-@click.group(
-    "param",
-    epilog="\b\nExamples:\n  fibaction param list /planner -u dds://\n"
-    "  fibaction param set /planner tolerance 0.2 -u dds://",
-)
-def param_command() -> None:
-    """List, read and set parameters of nodes, at ros2://, dds:// and zenoh:// URLs."""
-
-
-@param_command.command("list")
-@click.argument("node_name", metavar="NODE")
-@timeout_option
-@url_option
-def list_parameters(node_name: str, timeout: float, url: str) -> None:
-    """List the parameters of NODE with their values."""
-
-    async def act(node: Any) -> None:
-        for name, value in (await node.parameters(node_name, timeout=timeout).get()).items():
-            say(f"{name}: {as_yaml(value, full=True).strip()}")
-
-    run_at(url, act)
-
-
-@param_command.command("get")
-@click.argument("node_name", metavar="NODE")
-@click.argument("name")
-@timeout_option
-@json_option
-@url_option
-def get_parameter(node_name: str, name: str, timeout: float, as_json: bool, url: str) -> None:
-    """Print the parameter NAME of NODE."""
-
-    async def act(node: Any) -> None:
-        value = (await node.parameters(node_name, timeout=timeout).get(name))[name]
-        if value is None:
-            raise Failure(f"{node_name} has no parameter {name!r}")
-        if as_json:
-            say_json(value)
-        else:
-            say(as_yaml(value, full=True).strip())
-
-    run_at(url, act)
-
-
-@param_command.command("set")
-@click.argument("node_name", metavar="NODE")
-@click.argument("name")
-@click.argument("value")
-@timeout_option
-@url_option
-def set_parameter(node_name: str, name: str, value: str, timeout: float, url: str) -> None:
-    """Set the parameter NAME of NODE to VALUE, which is YAML."""
-    read = read_goal(value, {})
-
-    async def act(node: Any) -> None:
-        try:
-            await node.parameters(node_name, timeout=timeout).set({name: read})
-        except TypeError as exc:
-            raise Failure(str(exc)) from exc
-
-    run_at(url, act)
+    run_at(given["url"], act)

@@ -111,12 +111,20 @@ class Node(RosTransport):
             TimeoutError: No node has such a topic in the seconds of the timeout.
             TransportError: The type is not known here, and no publisher tells it.
         """
+        found = await self.find_type(topic, timeout=timeout)
+        await self._ros.learn_topic(self._ros.resolve(topic), found)
+        self._ros.types.topic_type(found)
+        return found
+
+    async def find_type(self, topic: str, *, timeout: float | None = None) -> str:
+        """Wait until a topic is in the graph, and return the name of its type, known here or not.
+
+        Raises:
+            TimeoutError: No node has such a topic in the seconds of the timeout.
+        """
         name = self._ros.resolve(topic)
         with anyio.move_on_after(timeout):
-            found = await self._ros.until(lambda: self.topics().get(name, ""))
-            await self._ros.learn_topic(name, found)
-            self._ros.types.topic_type(found)
-            return found
+            return await self._ros.until(lambda: self.topics().get(name, ""))
         raise TimeoutError(f"no node has had the topic {name} in {timeout:g} s")
 
     async def next(

@@ -48,10 +48,7 @@ class Publisher(Closing, Generic[T]):
         if self._is_closed:
             raise anyio.ClosedResourceError
         self._ros.raise_if_lost()
-        try:
-            made = self._form.to_ros(message)
-        except ValueError as exc:
-            raise ValueError(f"{self.topic}: {exc}") from exc
+        made = self.message(message)
         if not self._part.has_room():
             await self._until(self._part.has_room, timeout, "readers have taken too little of")
         if self._is_closed:
@@ -59,18 +56,32 @@ class Publisher(Closing, Generic[T]):
         self._part.publish(made)
         await anyio.lowlevel.checkpoint()  # a loop that publishes lets others have their turns
 
+    def message(self, value: T | dict[str, Any]) -> Any:
+        """Return a value as the message that is published.
+
+        Raises:
+            ValueError: It does not fit the type; the text names the field.
+        """
+        try:
+            return self._form.to_ros(value)
+        except ValueError as exc:
+            raise ValueError(f"{self.topic}: {exc}") from exc
+
     def reader_count(self) -> int:
         """Return the number of subscriptions that are connected."""
         return self._part.reader_count()
 
-    async def wait_for_reader(self, timeout: float | None = None) -> None:
-        """Wait until a subscription is connected; for ever without a timeout in seconds.
+    async def wait_for_reader(self, timeout: float | None = None, *, count: int = 1) -> None:
+        """Wait until so many subscriptions are connected; for ever without a timeout in seconds.
 
         Raises:
-            TimeoutError: There was none in time.
+            TimeoutError: There were fewer in time; the text says whose QoS does not match.
             ConnectionLost: The node can send nothing any more.
         """
-        await self._until(self._part.reader_count, timeout, "nobody has subscribed to")
+        what = "nobody has" if count == 1 else f"fewer than {count} have"
+        await self._until(
+            lambda: self._part.reader_count() >= count, timeout, f"{what} subscribed to"
+        )
 
     async def _until(self, look: Callable[[], object], timeout: float | None, problem: str) -> None:
         with anyio.move_on_after(timeout):

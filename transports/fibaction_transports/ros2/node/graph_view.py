@@ -44,6 +44,10 @@ class GraphView(ABC):
         """Return the topics, with or without a publisher, each with the name of its type."""
 
     @abstractmethod
+    def services(self) -> list[tuple[str, str]]:
+        """Return the services that are served, each with the name of its type."""
+
+    @abstractmethod
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         """Return the publishers of a topic, connected or not."""
 
@@ -88,6 +92,9 @@ class JoinedViews(GraphView):
 
     def topics(self) -> list[tuple[str, str]]:
         return sorted({*self._one.topics(), *self._other.topics()})
+
+    def services(self) -> list[tuple[str, str]]:
+        return sorted({*self._one.services(), *self._other.services()})
 
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         return _joined(self._one.publishers(topic), self._other.publishers(topic))

@@ -27,6 +27,7 @@ from fibaction_transports.ros2.on_dds.topic_names import (
     GRAPH_TOPIC,
     reply_topic,
     request_topic,
+    ros_service,
     ros_topic,
     topic_name,
 )
@@ -76,6 +77,7 @@ def _end_qos(qos: Qos) -> EndQos:
         history="keep_last" if qos.depth else "keep_all",
         depth=qos.depth or 0,
         lease=qos.liveliness_lease,
+        lifespan=qos.lifespan,
     )
 
 
@@ -181,6 +183,14 @@ class DdsGraph(RosGraph):
             ros_topic(end.topic): ros_type(end.type_name)
             for end in (*self._own.values(), *self._participant.remote_endpoints)
             if end.guid.is_writer and ros_topic(end.topic)
+        }
+        return list(found.items())
+
+    def services(self) -> list[tuple[str, str]]:
+        found = {
+            ros_service(end.topic): ros_type(end.type_name).removesuffix("_Request")
+            for end in (*self._own.values(), *self._participant.remote_endpoints)
+            if end.guid.is_reader and ros_service(end.topic)
         }
         return list(found.items())
 

@@ -31,3 +31,10 @@ def reply_topic(service: str) -> str:
 def ros_topic(name: str) -> str:
     """Return the full name in ROS of a topic of DDS; empty if it is not a topic of ROS."""
     return name.removeprefix(_TOPIC) if name.startswith(f"{_TOPIC}/") else ""
+
+
+def ros_service(name: str) -> str:
+    """Return the full name in ROS of a service by its topic of requests; empty if it is none."""
+    first, last = _REQUESTS
+    is_service = name.startswith(f"{first}/") and name.endswith(last)
+    return name.removeprefix(first).removesuffix(last) if is_service else ""

@@ -149,6 +149,7 @@ def end_info(end: Any) -> EndInfo:
     """Return what the graph tells of an end."""
     profile = end.qos_profile
     lease = profile.liveliness_lease_duration.nanoseconds
+    lifespan = profile.lifespan.nanoseconds
     return EndInfo(
         bytes(end.endpoint_gid),
         _full_name(end.node_namespace, end.node_name),
@@ -158,6 +159,7 @@ def end_info(end: Any) -> EndInfo:
             history="keep_all" if profile.history.name == "KEEP_ALL" else "keep_last",
             depth=profile.depth,
             lease=lease / _BILLION if lease < _INFINITE else math.inf,
+            lifespan=lifespan / _BILLION if lifespan < _INFINITE else math.inf,
         ),
     )
 

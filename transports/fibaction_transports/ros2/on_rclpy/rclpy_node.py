@@ -296,6 +296,10 @@ class RclpyNode(RosNode):
         found = self.attempt(self.node.get_topic_names_and_types, otherwise=())
         return [(topic, types[0]) for topic, types in found]
 
+    def services(self) -> list[tuple[str, str]]:
+        found = self.attempt(self.node.get_service_names_and_types, otherwise=())
+        return [(service, types[0]) for service, types in found]
+
     def publishers(self, topic: str) -> list[EndInfo]:
         return self._ends(self.node.get_publishers_info_by_topic, topic)
 

@@ -97,10 +97,16 @@ class ZenohGraph(RosGraph):
         return {one.node for one in self._ends.get((NODE, ""), {}).values()}
 
     def topics(self) -> list[tuple[str, str]]:
+        return self._types_of(PUBLISHER)
+
+    def services(self) -> list[tuple[str, str]]:
+        return self._types_of(SERVER)
+
+    def _types_of(self, wanted: str) -> list[tuple[str, str]]:
         return [
             (topic, next(iter(ends.values())).type_name)
             for (kind, topic), ends in self._ends.items()
-            if kind == PUBLISHER
+            if kind == wanted
         ]
 
     def publishers(self, topic: str) -> Sequence[EndInfo]:

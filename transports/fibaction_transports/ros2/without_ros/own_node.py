@@ -128,6 +128,9 @@ class OwnNode(RosNode):
     def topics(self) -> list[tuple[str, str]]:
         return self._graph.topics()
 
+    def services(self) -> list[tuple[str, str]]:
+        return self._graph.services()
+
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         return self._graph.publishers(topic)
 
