@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import uuid
 from collections.abc import AsyncGenerator, Callable
@@ -867,7 +868,10 @@ async def test_an_answer_or_a_message_that_cannot_be_read_is_told_and_nothing_el
             await until(lambda: heard.latest is None)
             raw.publish(types.topic_type(STRING).message(data="right"))
             assert (await heard.next()).data == "right"
-            assert "a message on /bare/chatter cannot be read" in caplog.text
+            assert (
+                "a message on /bare/chatter was dropped (1 so far): it cannot be read"
+                in caplog.text
+            )
             frames = below.publisher("/tf", types.topic_type(TF).message, EndQos())
             with pytest.raises(TimeoutError):
                 await planner.transform("base", "map", timeout=0.01)
@@ -881,6 +885,29 @@ async def test_an_answer_or_a_message_that_cannot_be_read_is_told_and_nothing_el
                 pytest.raises(ConnectionLost, match="/bare/reset: "),
             ):
                 await planner.call("reset", BOOL)
+
+
+async def test_messages_of_any_bytes_are_dropped_and_counted_and_the_next_one_is_read(
+    scheme: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    sent, chance = 200, random.Random(1)
+    text = structs_of([read_message(STRING, SearchPath((), ()))])["String"]
+    async with two_nodes(scheme) as (robot, planner):
+        for type_, field in ((ODOMETRY, "child_frame_id"), (text, "data")):
+            heard = planner.subscribe(field, type_, depth=sent + 1)
+            publisher = robot.publisher(field, type_, depth=sent + 1)
+            await publisher.wait_for_reader()
+            for _ in range(sent):
+                head = chance.choice([b"\0\1\0\0", b"\0\0\0\0", chance.randbytes(4)])
+                publisher._part.publish_bytes(head + chance.randbytes(4 * chance.randrange(99)))
+            await publisher.publish({field: "right"})
+            read = 0
+            while getattr(await heard.next(), field) != "right":
+                read += 1
+            assert read + heard.dropped == sent
+            assert heard.dropped > sent / 2
+    lines = [one for one in caplog.messages if "it cannot be read" in one]
+    assert 2 <= len(lines) <= 2 * sent.bit_length()
 
 
 async def test_a_type_that_nobody_describes_is_told(

@@ -64,7 +64,7 @@ class Subscription(Closing, Generic[T]):
 
     @property
     def dropped(self) -> int:
-        """Messages that no one has read before newer ones took their places."""
+        """Messages that no one has read before newer ones took their places, or could read."""
         return self._drops.count
 
     def _take(self, message: bytes, publisher: bytes) -> None:
@@ -85,10 +85,7 @@ class Subscription(Closing, Generic[T]):
         """The newest message that has arrived, whether it has been read or not; None before the
         first one, and if it is none of the type.
         """
-        value = None if self._newest is None else self._read(self._newest)
-        if value is None:
-            self._newest = None  # the log tells of it once
-        return value
+        return None if self._newest is None else self._read(self._newest)
 
     def publisher_count(self) -> int:
         """Return the number of publishers that are connected."""
@@ -135,7 +132,11 @@ class Subscription(Closing, Generic[T]):
         try:
             value: T = self._form.from_ros(self._ros.types.decode(message, self._type))
         except ProtocolError as exc:
-            logger.error("a message on %s cannot be read: %s", self.topic, excerpt(str(exc)))
+            self._drops.note(f"it cannot be read: {excerpt(str(exc))}")
+            if self._newest is message:
+                self._newest = None
+            if self._queue and self._queue[-1] is message:
+                self._queue.pop()
             return None
         return value
 
