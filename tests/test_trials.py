@@ -12,7 +12,7 @@ from tests import trials
 from tests.fuzz.fuzzer import CORPUS
 
 PROGRAMS = ["trials", "soak.__main__", "kills.__main__", "fleet.__main__", "hostile.__main__"]
-PROGRAMS.append("lossy.__main__")
+PROGRAMS += ["lossy.__main__", "soak.peers"]
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -57,7 +57,7 @@ def test_all_runs_of_a_trial_are_made_and_one_that_fails_is_named(
 
     monkeypatch.setattr(trials.subprocess, "run", run)  # type: ignore[attr-defined]  # as it is imported there
     assert trials.main("soak", "lossy") == 1
-    modules = ["tests.soak", "tests.soak", "tests.lossy"]
+    modules = ["tests.soak", "tests.soak", "tests.soak.peers", "tests.lossy"]
     assert [command[1] for command in made] == modules
     assert capsys.readouterr().out.endswith("failed: python -m tests.soak --keep\n")
     assert trials.main("lossy") == 0

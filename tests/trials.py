@@ -20,7 +20,7 @@ from time import monotonic
 ROOT = Path(__file__).resolve().parents[1]
 
 TRIALS = {
-    "soak": ["tests.soak --keep", "tests.soak --load 4 --keep"],
+    "soak": ["tests.soak --keep", "tests.soak --load 4 --keep", "tests.soak.peers"],
     "kills": [
         "tests.kills --recovery abort",
         "tests.kills --recovery rerun",

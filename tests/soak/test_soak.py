@@ -7,9 +7,12 @@ import json
 from typing import Any
 from xml.etree import ElementTree
 
+import anyio
 import pytest
 
+from tests.soak import peers
 from tests.soak.trial import COUNTED, SAMPLES, USED, Soak, faults, run
+from tests.support.ros_domain import own_domain
 from tests.tools import figures
 
 REPORTS = figures.read()
@@ -84,3 +87,27 @@ def test_the_kept_report_is_of_ten_minutes_and_found_no_growth(name: str) -> Non
 def test_the_page_is_made_of_the_reports() -> None:
     page = figures.PAGE.read_text(encoding="utf-8")
     assert figures.with_parts(page, REPORTS) == page
+
+
+# Subscriptions whose publishers are killed
+
+
+@pytest.mark.timeout(240)  # it starts eight processes
+def test_a_hundred_subscriptions_outlive_their_publishers() -> None:
+    with own_domain():
+        report = anyio.run(peers.run, 0.1, 2)
+
+    assert report["kills"] == 8
+    assert report["messages"] >= 2 * peers.TOPICS
+    assert peers.faults(report["samples"]) == []
+
+
+def test_what_grows_while_publishers_are_killed_is_a_fault() -> None:
+    samples = [{"memory": 10**6, "tasks": 9, "files": 9, "threads": 9} for _ in range(20)]
+    assert peers.faults(samples) == []
+    samples[-1] |= {"memory": 10**7, "tasks": 10}
+    samples[-2]["memory"] = 10**7
+    assert peers.faults(samples) == [
+        "the memory has grown from 1,000,000 to 10,000,000 bytes",
+        "there were 10 tasks, and 9 after the first round",
+    ]

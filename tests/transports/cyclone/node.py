@@ -38,10 +38,13 @@ AT_ONCE = 100
 def qos(*, depth: int = 0, reliable: bool = True, late: bool = False, data: bytes = b"") -> Qos:
     """Return a quality of service with the serialization of ROS; depth 0 keeps all samples."""
     reliability = Policy.Reliability
+    history = Policy.History.KeepLast(depth) if depth else Policy.History.KeepAll
     return Qos(
         reliability.Reliable(duration(seconds=10)) if reliable else reliability.BestEffort,
         Policy.Durability.TransientLocal if late else Policy.Durability.Volatile,
-        Policy.History.KeepLast(depth) if depth else Policy.History.KeepAll,
+        history,
+        # What late readers get has a history of its own, which rmw_cyclonedds makes the same.
+        Policy.DurabilityService(duration(seconds=0), history, -1, -1, -1),
         Policy.DataRepresentation(use_cdrv0_representation=True),
         Policy.Userdata(data),
     )
