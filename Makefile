@@ -27,7 +27,7 @@ at_once = -n auto --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi agents test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi agents frontends test-ros test-wheel test-pythons test-lowest release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -122,6 +122,9 @@ openapi: $(VENV)/.tools .venv-openapi/.installed  ## Try the programs of others 
 agents: $(VENV)/.tools .venv-mcp-agents/.installed .venv-a2a-agents/.installed  ## Try the agents of others at a bridge: MCP's conformance suite, fastmcp, google-adk, strands
 	FIBACTION_AGENTS=required $(pytest) tests/transports/mcp/test_official_clients.py tests/transports/a2a/test_agents_of_others.py
 
+frontends: $(VENV)/.tools build/frontends/.installed  ## Try the hooks of examples/web in React, Vue and Svelte, and the client in Deno and Bun
+	FIBACTION_FRONTENDS=required $(pytest) tests/javascript/test_frontends.py
+
 # The trials of each night, and the measurements
 
 bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
@@ -194,6 +197,9 @@ build/%/.installed: pyproject.toml tests/tools/lowest.py
 
 $(JAVASCRIPT)/.installed: tests/javascript/package.json tests/javascript/package-lock.json
 	@tests/javascript/install.sh $(JAVASCRIPT)
+
+build/frontends/.installed: tests/javascript/frontends/package.json tests/javascript/frontends/package-lock.json
+	@FIBACTION_NODE=required tests/javascript/install.sh build/frontends tests/javascript/frontends
 
 # ROS 2 has environments of its own, since its wheels start each Python of theirs twice: .venv-ros for
 # Kilted, .venv-ros-jazzy for Jazzy. A package of interfaces comes before those that need it.

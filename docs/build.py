@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from concepts_parts import errors_part, states_part
+from javascript_parts import reference_part
 from life_picture import life_diagram
 from page_parts import with_parts
 from protocol_parts import descriptions_part, limits_part, messages_part
@@ -43,6 +44,7 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
         "descriptions": descriptions_part,
         "limits": limits_part,
     },
+    "howto/with_curl.md": {"reference of fibaction.js": reference_part},
     "howto/secure.md": {"limits": all_limits_part, "memory": memory_part},
     **SETTINGS_PARTS,
 }
