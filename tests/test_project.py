@@ -78,6 +78,7 @@ def test_every_long_trial_runs_each_night() -> None:
         "attack",
         "contract",
         "fleet",
+        "frontends",
         "fuzz",
         "kills",
         "lossy",
