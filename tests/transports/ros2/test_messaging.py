@@ -93,6 +93,17 @@ async def test_messages_arrive_in_order_with_the_fields_of_ros(scheme: str) -> N
         assert await odometry.next() == odometry.latest
 
 
+async def test_nothing_is_kept_of_publishers_that_have_gone() -> None:
+    async with two_nodes("dds://") as (robot, planner):
+        heard: Any = planner.subscribe("chatter", STRING)
+        with robot.publisher("chatter", STRING) as publisher:
+            await publisher.wait_for_reader(PATIENCE)
+            await publisher.publish({})
+            await heard.next()
+            assert len(heard._part._numbers._last) == 1
+        await until(lambda: not heard._part._numbers._last)
+
+
 async def test_a_slow_reader_gets_the_newest_messages_and_those_it_missed_are_counted(
     scheme: str, caplog: pytest.LogCaptureFixture
 ) -> None:

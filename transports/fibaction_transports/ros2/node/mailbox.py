@@ -68,6 +68,10 @@ class MessageNumbers:
             self._lost.note("its publisher, or the way, was overloaded", number - before - 1)
             self._tell(number - before - 1)
 
+    def forget(self, publisher: bytes) -> None:
+        """Forget a publisher that has gone."""
+        self._last.pop(publisher, None)
+
 
 class Mailbox:
     """A queue of items for the event loop, filled by any thread.

@@ -43,6 +43,7 @@ from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import (
     CaughtUp,
+    EndpointUnmatched,
     Event,
     LivelinessChanged,
     ParticipantLost,
@@ -99,6 +100,8 @@ class DdsNode(OwnNode):
                 logger.exception("a message was dropped, because it could not be handled")
         elif isinstance(event, CaughtUp) and event.reader in self._subscriptions:
             self._subscriptions[event.reader].note_caught_up()
+        elif isinstance(event, EndpointUnmatched) and event.local in self._subscriptions:
+            self._subscriptions[event.local].forget(event.remote)
         elif isinstance(event, TypesAnswered):
             self._questions.take(event)
         elif isinstance(event, ParticipantLost):

@@ -93,6 +93,10 @@ class DdsSubscription(TopicSubscription):
             self._numbers.note(bytes(sample.writer), sample.number)
         self._take(sample.payload, bytes(sample.writer))
 
+    def forget(self, writer: Guid) -> None:
+        """Forget a publisher that has gone."""
+        self._numbers.forget(bytes(writer))
+
     def pause(self, is_paused: bool, /) -> None:
         self._pause(self.end, is_paused)
 
