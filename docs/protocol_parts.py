@@ -16,6 +16,7 @@ from page_parts import table
 from fibaction.types.action import ActionInfo
 from fibaction.wire import messages
 from fibaction.wire.settings import Limits
+from fibaction.words.intake import IntakeMode
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "support" / "golden.py"
 """Bytes of one message of each type: with these the tests pin the format."""
@@ -46,6 +47,8 @@ MEANINGS = {
     "after": "Number of the feedback after which the stream begins; nil: with the next feedback.",
     "CancelGoals.goal_id": "ID of a goal; nil or zeros: see [canceling](#canceling).",
     "CancelGoals.stamp": "Latest stamp of the goals; nil or 0: see [canceling](#canceling).",
+    "mode": "`open`, `hold`, `refuse` or `drain`.",
+    "Operate.mode": "`open`, `hold`, `refuse` or `drain`; nil to change nothing.",
     "Ended.status": "Last [goal status](#statuses): 4, 5 or 6; 0 if the server does not know it.",
     "Ended.place": "Number of the last feedback that was sent or left out.",
     "GoalChanged.stamp": "Time when the goal was accepted, as in `Following`; 0 if `status` is 0.",
@@ -150,6 +153,8 @@ def _wire(described: types.Type) -> str:
             return f"{length} bytes"
         case types.IntType():
             return "integer" + _range(described)
+        case types.EnumType(cls=cls) if cls is IntakeMode:
+            return "text"
         case types.EnumType(cls=cls):
             numbers = [int(one.value) for one in cls]
             return f"integer, {min(numbers)} to {max(numbers)}"

@@ -18,8 +18,17 @@ import pytest
 from anyio.abc import SocketAttribute
 from anyio.lowlevel import checkpoint
 
-from fibaction import Action, ActionServer, GoalHandle, GoalID, GoalRejected, RejectionCode
+from fibaction import (
+    Action,
+    ActionServer,
+    GoalHandle,
+    GoalID,
+    GoalRejected,
+    GoalStatus,
+    RejectionCode,
+)
 from fibaction.cli.output import render
+from fibaction.words.intake import IntakeChange, IntakeMode
 from tests.doors import DOORS
 from tests.hostile.test_doors import dialed
 from tests.support.certificates import pems
@@ -39,6 +48,7 @@ RULES = {
     "unknown fields": "a field that the goal does not have is refused, with the one that was meant",
     "busy": "a goal for which there is no room now has a code that says so, or the word 'later'",
     "later": "such a goal runs when it is sent again, with the same ID where clients give IDs",
+    "paused": "a goal for an action that is paused is told so in the same ways, or it waits",
     "stopping": "a goal that comes while the server stops is told so in the same ways",
     "same ID": "a goal that is sent again with its ID runs once, and another goal is refused",
     "others' goals": "a client cancels the goals of others only if it may",
@@ -75,6 +85,9 @@ dds, zenoh, ros2: a response of SendGoal has one bit
 
 [later]
 dds, zenoh, ros2: a client of ROS gives each goal an ID of its own
+
+[paused]
+dds, zenoh, ros2: a response of SendGoal has one bit
 
 [stopping]
 nats: test_a_worker_whose_server_has_stopped_is_left_for_another
@@ -303,6 +316,39 @@ async def test_a_goal_that_came_too_early_runs_when_it_is_sent_again(
             assert "the battery is charging" in (await way.send({"meters": 1}, **goal_id)).reason
         assert (await way.send({"meters": 1}, **goal_id)).result == "there"
     assert driver.driven == [1]
+
+
+@each_door("paused")
+async def test_a_goal_for_a_paused_action_is_told_so_and_runs_after_the_pause(
+    door: str, driver: Driver
+) -> None:
+    server = driver.server
+    refuse, hold, resume = (
+        IntakeChange(mode, "the floor is wet")
+        for mode in (IntakeMode.REFUSE, IntakeMode.HOLD, IntakeMode.OPEN)
+    )
+    async with DOORS[door](server) as way:
+        await server.change_intake(refuse)
+        told = await way.send({"meters": 1})
+        assert told.result is None
+        assert ": the floor is wet" in told.reason
+        assert told.code is RejectionCode.BUSY or told.is_later is not False
+        await server.change_intake(resume)
+        assert (await way.send({"meters": 1})).result == "there"
+        await server.change_intake(hold)
+
+        async def send() -> None:
+            assert (await way.send({"meters": 5})).result == "there"
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(send)
+            with await server.status() as statuses:
+                while (info := await statuses.receive()) is not None:
+                    if info.status is GoalStatus.ACCEPTED:
+                        break
+            assert driver.driven == [1]
+            await server.change_intake(resume)
+    assert driver.driven == [1, 5]
 
 
 @each_door("stopping", without="nats")

@@ -33,6 +33,7 @@ from fibaction.types.action import Action, ActionInfo
 from fibaction.words.errors import StoreError, TransportError
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import ActionPeers, GoalID, WorkerInfo
+from fibaction.words.intake import Intake, IntakeChange, IntakeMode
 from fibaction.words.meta import Meta
 
 __all__ = [
@@ -46,6 +47,9 @@ __all__ = [
     "GoalRequest",
     "GoalStream",
     "GoalUpdate",
+    "Intake",
+    "IntakeChange",
+    "IntakeMode",
     "Meta",
     "Notifier",
     "PastPage",

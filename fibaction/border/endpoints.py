@@ -18,7 +18,7 @@ from anyio import CapacityLimiter, create_task_group, current_time
 from fibaction.border.streams import GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
 from fibaction.words.action_error import ActionError
-from fibaction.words.errors import UnknownGoal
+from fibaction.words.errors import TransportError, UnknownGoal
 from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
 from fibaction.words.goals import (
     UNKNOWN_OUTCOME,
@@ -29,6 +29,7 @@ from fibaction.words.goals import (
     Outcome,
     Sender,
 )
+from fibaction.words.intake import OPEN_INTAKE, Intake, IntakeChange
 from fibaction.words.meta import Meta
 
 CANCELS_AT_ONCE = 1000
@@ -207,6 +208,26 @@ class Endpoint(ABC):
         """
         await read_pages(self.past_goals, wanted, take)
 
+    async def intake(self) -> Intake:
+        """Return how the server takes new goals; open if its transport does not tell.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+        return OPEN_INTAKE
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        """Pause the action, let it take goals again, or drain its server, and return how it takes
+        new goals now. The server notes the time.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`; the transport does not carry it.
+        """
+        raise TransportError(
+            f"the action {self.info.name!r} cannot be paused or drained from here: its server, or"
+            " the way to it, has no levers"
+        )
+
     @abstractmethod
     async def wait_for_server(self) -> None:
         """Wait until this action is served, without a timeout.
@@ -329,6 +350,12 @@ class ForwardingEndpoint(Endpoint):
             await self.inner.read_past(wanted, take)
         else:  # it has a history of its own
             await super().read_past(wanted, take)
+
+    async def intake(self) -> Intake:
+        return await self.inner.intake()
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        return await self.inner.change_intake(change)
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()

@@ -258,7 +258,33 @@ class PastSource:
         return None
 
 
-class GoalJournal(PastSource, ABC):
+class IntakeSource:
+    """The record of how an action takes new goals, as bytes of its server; here in memory."""
+
+    intake_period: float = math.inf
+    """Seconds after which another server of the store may have changed it."""
+    _intake: bytes = b""
+
+    async def intake(self) -> bytes:
+        """Return what is kept; empty if nothing is.
+
+        Raises:
+            StoreError: It cannot be read.
+        """
+        return self._intake
+
+    async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
+        """Keep what `change` makes of what is kept, and return it when it is durable. `change` may
+        be called again, if another server was faster, and on another thread.
+
+        Raises:
+            StoreError: It cannot be kept.
+        """
+        self._intake = change(self._intake)
+        return self._intake
+
+
+class GoalJournal(PastSource, IntakeSource, ABC):
     """The goals of one action in an open store. See the module for the rules of all methods."""
 
     @property

@@ -43,6 +43,11 @@ GROUPS = {
         "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
         "stats": ("stats", "stats_command", "Count goals, failures, and how long they take."),
     },
+    "Operate": {
+        "pause": ("levers", "pause_command", "Let no new goal begin, or be accepted."),
+        "resume": ("levers", "resume_command", "Take goals again after a pause or a drain."),
+        "drain": ("levers", "drain_command", "Let a server or a worker run empty."),
+    },
     "Find and describe actions": {
         "list": ("list", "list_command", "List the actions that are served."),
         "info": ("info", "info_command", "Show the servers and the clients of an action."),

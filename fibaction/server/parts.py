@@ -6,7 +6,8 @@ Theory of operation
 `Admission` decides on goals and `Cancels` on cancels. `Runs` has the active goals and runs their
 executors, when the `Dispatcher` gives them their turn. `GoalRegistry` knows every goal, and
 `GoalLogs` tells followers about them. The `Keeper` writes to the store; `Recovery` takes over what
-the store has, and `Capacity` tells the store how many more goals the server can take.
+the store has, `Capacity` tells the store how many more goals the server can take, and `Levers` let
+operators pause and drain the server.
 
 They are made here, and only here, when the server starts. Partners are given to the constructors.
 Each part carries out effects of the goals' `Life`. Two of them call each other back: the keeper
@@ -20,20 +21,20 @@ store, which the exit stack of `open` has.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import AsyncExitStack
-from typing import Any, Generic
+from typing import Generic
 
-from anyio import move_on_after, sleep
-from anyio.abc import TaskGroup
+from anyio import move_on_after
 
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.notify import Notifier
 from fibaction._runtime.own_thread import HomeLoop
 from fibaction.border.event_loop import Background, Slices, loop_clock
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels
+from fibaction.server.capacity import Capacity
 from fibaction.server.durability.keeper import STORE_IS_LATE, Keeper, KeeperEvents
 from fibaction.server.durability.past_goals import PastGoals
 from fibaction.server.durability.recovery import Recovery
@@ -42,6 +43,7 @@ from fibaction.server.execution.executor import Runner
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
+from fibaction.server.intake import Levers
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -57,9 +59,6 @@ STORE_PATIENCE = 5.0
 
 MOST_NAMED = 10
 """Goals that are named in the log when they are killed; the others are counted."""
-
-LOOK_AGAIN = 0.1
-"""Seconds after which a server that holds too many bytes looks again."""
 
 logger = clean_logger("fibaction.server")
 
@@ -117,6 +116,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             action, registry, runs, logs, dispatcher, watchers, self.admission, settings
         )
         self.capacity = Capacity(registry, keeper, dispatcher, runs)
+        self.levers = Levers(action.name, registry, keeper, runs, self.admission, self.capacity)
 
     async def open(self, stack: AsyncExitStack, *, held: bool) -> None:
         """Open the store, and start the tasks. The stack ends both. If `held`, no executor runs
@@ -140,12 +140,15 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             look_at_capacity=self.capacity.update,
         )
         await stack.enter_async_context(self.keeper.open(tasks, events))
+        await self.levers.look()
         await self.recovery.check()
         keeper = self.keeper
         await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_places)
         # Their tasks wait for `stop`, so nothing may fail from here on.
         self.runs.open(tasks, held=held)
         self.keeper.start(tasks, self.recovery.open, self.capacity.watch)
+        if self.keeper.intakes.intake_period < math.inf:
+            tasks.start_soon(self.levers.watch, name=f"intake of {self._name}")
 
     async def recover(self) -> None:
         """Take over what the store has.
@@ -252,64 +255,3 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         self.close()
         self.runs.release_unwritten()
         self.admission.wake()
-
-
-class Capacity:
-    """The number of goals that a server can take in addition, as its store is told.
-
-    A store that several servers share hands goals over by it. It is computed from counters at each
-    write of the server, at each answer, and when a goal leaves the schedule, and told when one of
-    the two numbers becomes zero, or more than zero. Bytes are given back by readers, of which
-    nothing is told, so a server that has too many looks again after a while.
-    """
-
-    def __init__(
-        self,
-        registry: GoalRegistry,
-        keeper: Keeper,
-        dispatcher: Dispatcher[Any],
-        runs: Runs[Any, Any, Any],
-    ) -> None:
-        self._registry = registry
-        self._keeper = keeper
-        self._dispatcher = dispatcher
-        self._runs = runs
-        self._is_open = False
-        self._told = False, False
-        self._shortage = Notifier()
-
-    def open(self) -> None:
-        """Tell the store from now on what the server can take: it runs."""
-        self._is_open = True
-        self.update()
-
-    def close(self) -> None:
-        """Tell the store that the server takes no more goals: it drains, or stops."""
-        self._is_open = False
-        self.update()
-
-    def update(self) -> None:
-        """Tell the store if one of the numbers has become zero, or more than zero."""
-        running, waiting = 0.0, 0.0
-        if self._is_open:
-            if self._registry.goals_left > 0:
-                running, waiting = self._dispatcher.capacity()
-                if self._runs.suspects.goals:
-                    running, waiting = 0.0, max(waiting, 1.0)
-            elif self._registry.has_too_many_bytes:
-                self._shortage.notify()
-        has_room = running > 0, waiting > 0
-        if has_room != self._told:
-            self._told = has_room
-            self._keeper.set_room(running, waiting)
-
-    def watch(self, tasks: TaskGroup) -> None:
-        """Look again after a shortage of bytes, in a task of this group."""
-        tasks.start_soon(self._run, name="room for goals")
-
-    async def _run(self) -> None:
-        while True:
-            while not (self._is_open and self._registry.has_too_many_bytes):
-                await self._shortage.wait()
-            await sleep(LOOK_AGAIN)
-            self.update()

@@ -49,9 +49,10 @@ from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.settings import ActionServerKeywords, ActionServerSettings, check_is_store
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
-from fibaction.words.errors import GoalKept, ServerNotFound, copy_of
+from fibaction.words.errors import GoalKept, ServerNotFound, TransportError, copy_of
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo
+from fibaction.words.intake import Intake, IntakeChange
 from fibaction.words.meta import checked_meta
 
 logger = clean_logger("fibaction.server")
@@ -347,6 +348,18 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """See `Endpoint.read_past`."""
         self._check_running()
         await self._parts.past.read(wanted, take)
+
+    async def intake(self) -> Intake:
+        """See `Endpoint.intake`."""
+        self._check_running()
+        return await self._parts.levers.look()
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        """See `Endpoint.change_intake`."""
+        self._check_running()
+        if change.worker:
+            raise TransportError(f"action {self.action.name!r} has no workers: it is not a fleet's")
+        return await self._parts.levers.change(change)
 
     def _check_running(self) -> None:
         if self._phase in ("running", "stopping"):

@@ -50,8 +50,13 @@ from fibaction.stores.journal_rows import (
 from fibaction.words.errors import StoreError
 
 if TYPE_CHECKING:
+    import sqlite3
+
     from fibaction.stores._journal_file import JournalFile  # imports sqlite3
 
+INTAKES = """
+create table if not exists intakes(action text primary key, kept blob not null) without rowid
+"""
 COMPACT_FROM = 8 * 1024 * 1024
 """Bytes of rows below which a journal is not compacted while it is in use."""
 GROWTH = 4
@@ -122,6 +127,17 @@ class Writer:
         if error := await self._do(partial(self._load, action, max_results, goals)):
             raise StoreError(error)
         return goals
+
+    async def change_intake(self, action: str, change: Callable[[bytes], bytes]) -> bytes:
+        """See `IntakeSource.change_intake`.
+
+        Raises:
+            StoreError: It cannot be kept.
+        """
+        kept: list[bytes] = []
+        if error := await self._do(partial(self._change_intake, action, change, kept)):
+            raise StoreError(error)
+        return kept[0]
 
     async def finish(self, action: str) -> None:
         """Wait until everything that was written is told; the action is no longer open."""
@@ -223,6 +239,24 @@ class Writer:
             self._has_begun = True
         found += goals.of(action).in_order()
 
+    def _change_intake(
+        self, action: str, change: Callable[[bytes], bytes], kept: list[bytes]
+    ) -> None:
+        from fibaction.stores._wal import PAGE
+
+        assert self._file is not None
+
+        def write(db: sqlite3.Connection) -> int:
+            db.execute(INTAKES)
+            row = db.execute("select kept from intakes where action = ?", (action,)).fetchone()
+            kept.append(change(b"" if row is None else row[0]))
+            if row is None or row[0] != kept[0]:
+                db.execute("insert or replace into intakes values (?, ?)", (action, kept[0]))
+            return len(kept[0]) + PAGE
+
+        if not self._file.write(write):
+            raise StoreError(f"the disk has no room for the intake in {self._path}")
+
     def _clean(self) -> None:
         """Make the file smaller, if need be, after the clients were told."""
         assert self._file is not None
@@ -265,6 +299,7 @@ class SqliteJournal(GoalJournal):
     def __init__(self, action: str, writer: Writer) -> None:
         self._action = action
         self._write = writer.write
+        self._change_intake = partial(writer.change_intake, action)
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         # A copy: the goal continues while it waits for the thread.
@@ -280,3 +315,9 @@ class SqliteJournal(GoalJournal):
 
     def end(self, goal: StoredGoal, then: Then) -> None:
         self._write(ended(self._action, goal), then)
+
+    async def intake(self) -> bytes:
+        return await self._change_intake(lambda kept: kept)
+
+    async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
+        return await self._change_intake(change)

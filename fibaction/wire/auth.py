@@ -31,6 +31,7 @@ class Permission(Enum):
     SEND = "send"
     CANCEL = "cancel"
     OBSERVE = "observe"
+    OPERATE = "operate"
 
 
 class Peer(msgspec.Struct, frozen=True):

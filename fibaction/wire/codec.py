@@ -30,6 +30,8 @@ _from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(From
 
 NEWEST_TAG = max(kind.__struct_config__.tag for kind in get_args(FromServer))
 """The highest tag of the messages that a server of this version sends."""
+NEWEST_FROM_CLIENT = max(kind.__struct_config__.tag for kind in get_args(FromClient))
+"""The highest tag of the messages that a client of this version sends."""
 
 
 def _tag_of(frame: bytes) -> int:

@@ -29,6 +29,8 @@ from fibaction.wire.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Operate,
+    Operated,
     Peers,
     Ping,
     Places,
@@ -42,6 +44,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.words.goals import GoalID
+from fibaction.words.intake import IntakeMode
 from fibaction.words.statuses import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
@@ -123,8 +126,12 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "941b08a96669626f6e6163636964",
     ),
     (
-        Welcome(1, 1.0, 65536, 15.0),
-        "952001cb3ff0000000000000ce00010000cb402e000000000000",
+        Operate(9, "fibonacci", IntakeMode.HOLD, "swap", "ann"),
+        "971c09a96669626f6e61636369a4686f6c64a473776170a3616e6ea0",
+    ),
+    (
+        Welcome(1, 1.0, 65536, 15.0, 28),
+        "962001cb3ff0000000000000ce00010000cb402e0000000000001c",
     ),
     (
         Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT, {"order": "17"}),
@@ -192,6 +199,10 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         Places(8, [(GOAL_ID, 2, 5)]),
         "932e089193c410000102030405060708090a0b0c0d0e0f0205",
+    ),
+    (
+        Operated(9, IntakeMode.HOLD, [(IntakeMode.HOLD, "swap", "ann", STAMP)]),
+        "942f09a4686f6c649194a4686f6c64a473776170a3616e6ecf17979cfe362a0000",
     ),
     (
         FeedbackBatch(1, 2, [FEEDBACK, FEEDBACK], [STAMP, STAMP + 5]),

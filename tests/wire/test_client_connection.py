@@ -668,7 +668,7 @@ async def test_of_many_goals_the_first_are_written_before_the_last_is_sent() -> 
             raise AssertionError(frame)
 
     calls = OpenCalls(WINDOW, 1)
-    calls.reopen(cast("Any", Link()), MAX_FRAME)
+    calls.reopen(cast("Any", Link()), MAX_FRAME, 28)
     async with anyio.create_task_group() as tasks:
         for _ in range(100):
             tasks.start_soon(calls.send, "fibonacci", GoalRequest(GOAL_ID, GOAL))

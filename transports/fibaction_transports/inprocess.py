@@ -38,6 +38,7 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import UNKNOWN_SENDER, CancelAnswer, GoalID, GoalInfo, Sender
+from fibaction.words.intake import Intake, IntakeChange
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import ClientKeywords
@@ -217,6 +218,12 @@ class _NamedEndpoint(Endpoint):
 
     async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
         await self._server.read_past(wanted, take)
+
+    async def intake(self) -> Intake:
+        return await self._server.intake()
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        return await self._server.change_intake(change)
 
     async def wait_for_server(self) -> None:
         name, place = self._info.name, self._connection.place

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from itertools import groupby
+from types import MappingProxyType
 
 import click
 
-from fibaction._api import connect
+from fibaction._api import ClientConnection, connect
+from fibaction.border.endpoints import Endpoint
 from fibaction.cli.arguments.action_names import is_type, shown
 from fibaction.cli.arguments.completion import TYPE, namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespace_of
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.output.lines import say, say_json
+from fibaction.cli.output.lines import note, say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, run
-from fibaction.types.action import ActionInfo
+from fibaction.feeds.intakes import intakes_of
+from fibaction.types.action import Action, ActionInfo
+from fibaction.words.errors import ActionError
+from fibaction.words.intake import Intake
 
 types_option = click.option("-t", "--show-types", is_flag=True, help="Show the types, too.")
 count_option = click.option(
@@ -61,9 +67,25 @@ async def list_actions(
     """
     async with connect(url) as connection:
         actions = await namespace.narrow(connection).actions()
-    print_found = print_groups if group else print_actions
-    print_found(actions, show_types=show_types, count=count, as_json=as_json)
+        intakes = {} if count else await _intakes(connection, actions)
+    if group:
+        print_groups(actions, show_types=show_types, count=count, as_json=as_json)
+    else:
+        print_actions(actions, show_types=show_types, count=count, as_json=as_json, intakes=intakes)
+    for name in sorted(intakes, key=shown) if not as_json else ():
+        note(f"{shown(name)}: {intakes[name].text}")
     return ExitCode.SUCCEEDED
+
+
+async def _intakes(
+    connection: ClientConnection, actions: Collection[ActionInfo]
+) -> dict[str, Intake]:
+    """Return how actions take goals that are paused, or whose server drains."""
+    endpoints: list[Endpoint] = []
+    for info in actions:
+        with suppress(ActionError):  # its type is not known here
+            endpoints.append(connection.client(Action.untyped(info)).endpoint)
+    return await intakes_of(endpoints)
 
 
 @click.command("find", epilog="\b\nExample:\n  fibaction find arduinobot_msgs/action/Fibonacci")
@@ -86,7 +108,12 @@ async def find(url: str, type_name: str, *, count: bool, as_json: bool) -> int:
 
 
 def print_actions(
-    actions: Collection[ActionInfo], *, show_types: bool, count: bool, as_json: bool
+    actions: Collection[ActionInfo],
+    *,
+    show_types: bool,
+    count: bool,
+    as_json: bool,
+    intakes: Mapping[str, Intake] = MappingProxyType({}),
 ) -> None:
     """Print the actions in the order of their names, or their number."""
     if count:
@@ -95,7 +122,8 @@ def print_actions(
         return
     for info in sorted(actions, key=lambda info: shown(info.name)):
         if as_json:
-            say_json(_json(info))
+            intake = intakes.get(info.name)
+            say_json(_json(info) | ({"intake": intake.mode.value} if intake else {}))
         else:
             say(with_type(shown(info.name), info.type_name if show_types else ""))
 

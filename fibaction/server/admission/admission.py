@@ -19,7 +19,8 @@ meanwhile, the goal is accepted anyway. `_writing` has the offers that are being
 another server turns out to have the goal (`lose`), the call is told so.
 
 A new goal is rejected as *busy*, and may be sent again later or elsewhere, if the server drains,
-unless an active goal that the drain waits for is its parent; if `max_goals` are active (20,000 by
+unless an active goal that the drain waits for is its parent; if an operator has paused the action,
+and chosen that (`IntakeRule`); if `max_goals` are active (20,000 by
 default); if goals and feedback take more than `max_bytes` (256 MiB), or the unread results of its
 client more than half of them; if it can neither run nor wait by the schedule (`Scheduler.offer`);
 or if the store is full (`StoreFull`).
@@ -119,6 +120,10 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
         or in one of the other registries, has sent.
         """
         self._drained = (self._registry, *together)
+
+    def end_drain(self) -> None:
+        """Take new goals again."""
+        self._drained = ()
 
     def _is_drained(self, offer: Offer[GoalT]) -> bool:
         """Return whether a new goal is rejected while the server drains."""
@@ -225,10 +230,13 @@ class Admission(Generic[GoalT, FeedbackT, ResultT]):
             raise GoalRejected(SERVER_STOPPING, code=RejectionCode.STOPPING)
         if self._drained and self._is_drained(offer):
             raise Busy(DRAINING)
+        if self._registry.intake.busy:
+            raise Busy(self._registry.intake.busy)
         sent = offer.sent
         goal_id, sender = sent.goal_id, sent.sender
         has_turn = self._dispatcher.offer(goal_id, offer.request, sender, sent.deadline)
-        offer.is_running = has_turn and not self._runs.suspects.goals
+        is_held = self._runs.suspects.goals or self._registry.intake.holds
+        offer.is_running = has_turn and not is_held
         if self._runs.suspects.goals:
             self._runs.suspects.note_sent(goal_id, _sender_of(offer))
         offer.goal = self._registry.prepare(

@@ -152,7 +152,7 @@ class GoalKeeper(Keeper):
             obstacle=events.obstacle,
             ends_unreadable=events.ends_unreadable,
         ) as self._journal:
-            self.past = self._journal
+            self.past = self.intakes = self._journal
             yield
 
     def start(self, tasks: TaskGroup, *parts: Callable[[TaskGroup], None]) -> None:

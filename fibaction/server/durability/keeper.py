@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import NoFleet, PastSource
+from fibaction.border.goal_store import IntakeSource, NoFleet, PastSource
 from fibaction.server.life import LIFE_IN_MEMORY, Event, Life, Phase, Step
 from fibaction.words.errors import ProtocolError
 
@@ -82,6 +82,8 @@ class Keeper:
     ) -> None:
         self.life = Life(table)
         """The lives of the goals, by a table in which each step is kept before it is told."""
+        self.intakes = IntakeSource()
+        """The source of how the action takes goals, once the keeper is open."""
         self._action = action
         self._has_warned = False
 

@@ -42,6 +42,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
+from fibaction.border.event_loop import Slices
 from fibaction.server.durability.keeper import (
     GOAL_IS_KEPT,
     GOAL_IS_TAKEN,
@@ -101,6 +102,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         self._action = action
         self._runner = runner
+        self._held: dict[GoalID, None] = {}  # those that have their turn, and begin after a pause
         self._registry = registry
         self._logs = logs
         self._keeper = keeper
@@ -175,6 +177,10 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         if run is None:
             return
         run.goal.place = NO_PLACE
+        if self._registry.intake.holds:
+            self._held[goal_id] = None
+            self._dispatcher.hold(goal_id)
+            return
         if run.goal.suspicion:
             self.suspects.add(run.goal, self)
         elif not self.suspects.goals or self.suspects.may_begin(run.goal):
@@ -182,6 +188,18 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
             return
         self._dispatcher.hold(goal_id)
         self._tasks.start_soon(self._begin_later, run, name=f"goal of {self._action.name} waits")
+
+    async def begin_held(self) -> None:
+        """Begin the goals that have had their turn during a pause."""
+        slices = Slices()
+        while self._held and not self._registry.intake.holds:
+            goal_id = next(iter(self._held))
+            del self._held[goal_id]
+            goal = self._runs[goal_id].goal
+            self.begin(goal_id)
+            if goal.phase is not WAITING:  # a suspect, or a goal that waits for one, goes on later
+                self._dispatcher.go_on(goal_id)
+            await slices.pause()
 
     async def _begin_later(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         goal = run.goal
@@ -256,6 +274,8 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def _remove(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         del self._runs[run.goal.goal_id]
+        if self._held:
+            self._held.pop(run.goal.goal_id, None)
         if self.suspects.goals:
             self.suspects.left.notify()
 

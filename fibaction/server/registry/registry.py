@@ -42,6 +42,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
+from fibaction.server.registry.intake_rule import IntakeRule
 from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes, KeptResults
 from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, CancelCode, GoalID, Outcome, Sender, digest_of
@@ -100,6 +101,8 @@ class GoalRegistry:
         """The bytes of goals, feedback and results."""
         self.results = KeptResults(self.budget)
         """The results of ended goals, by their owners."""
+        self.intake = IntakeRule()
+        """The consequences of a pause."""
         self._max_goals = max_goals
         self._undecided: dict[GoalID, _Undecided] = {}
         self._active: dict[GoalID, GoalRecord] = {}
@@ -149,6 +152,8 @@ class GoalRegistry:
     def busy(self) -> str:
         """The reason for which a goal that was admitted last must be rejected; empty if none."""
         # Without the properties below, since it is read for each goal.
+        if self.intake.busy:
+            return self.intake.busy
         active = len(self._undecided) + len(self._active) - 1
         if active >= self._max_goals:
             return f"busy: {active} goals are active, the limit is {self._max_goals}"

@@ -81,6 +81,7 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.intake import Intake, IntakeChange
 
 OPEN_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
@@ -227,7 +228,7 @@ class RemoteConnection(Connection):
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
         self._link.heartbeat.agree(welcome.heartbeat, welcome.max_heartbeat)
         self.lost_at = None
-        self.calls.reopen(self._link, welcome.max_frame)
+        self.calls.reopen(self._link, welcome.max_frame, welcome.newest)
         self._reconnector.opened()
 
 
@@ -281,6 +282,12 @@ class RemoteEndpoint(Endpoint):
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         return await self._calls.past_goals(self._info.name, page)
+
+    async def intake(self) -> Intake:
+        return await self._calls.operate(self._info.name)
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        return await self._calls.operate(self._info.name, change)
 
     @property
     def absence(self) -> Absence | None:

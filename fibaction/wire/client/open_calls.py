@@ -32,7 +32,7 @@ from fibaction.wire.client.calls import Call, PendingRequest, unfitting
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch, info_of
 from fibaction.wire.codec import encode
-from fibaction.wire.errors import error_of
+from fibaction.wire.errors import error_of, sendable
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
@@ -44,6 +44,8 @@ from fibaction.wire.messages import (
     Follow,
     FromClient,
     GoalChanged,
+    Operate,
+    Operated,
     Places,
     SendGoal,
     Watching,
@@ -52,14 +54,25 @@ from fibaction.wire.messages import (
     past_fields,
     word_fields,
 )
-from fibaction.words.errors import ActionError, InvalidMessage, copy_of
+from fibaction.words.errors import (
+    ActionError,
+    InvalidMessage,
+    ServerNotFound,
+    TransportError,
+    copy_of,
+)
 from fibaction.words.goal_query import MOST_PAST, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.intake import MOST_CHANGES, OPEN_INTAKE, Intake, IntakeChange
 from fibaction.words.meta import checked_meta
 
 BURST = 32
 """Calls that are written at once, in the middle of a turn of the event loop: both ends then work at
 the same time."""
+
+
+OPERATE = 28
+"""The tag of `Operate`, which servers of earlier versions do not know."""
 
 
 class PastCall(Call):
@@ -126,6 +139,7 @@ class OpenCalls:
         self._absent: ActionError | None = None  # why new calls fail at once
         self._most_places = most_places
         self._link: Link | None = None
+        self._newest = 0  # the highest tag that the server knows; 0 before the first connection
         self._max_frame = MAX_FRAME
         self._calls: dict[int, Call] = {}
         # Those of observers, for as long as the caller keeps them: one goal may have many.
@@ -229,6 +243,30 @@ class OpenCalls:
             raise
         return statuses
 
+    async def operate(self, action: str, change: IntakeChange | None = None) -> Intake:
+        """Change how an action takes goals, or only ask; that of an older server is open.
+
+        Raises:
+            ActionError: As for `ask`.
+            TransportError: The server is older, and cannot be paused.
+        """
+        if self._newest < OPERATE:
+            if change is None:
+                return OPEN_INTAKE
+            if self._newest:
+                raise TransportError("the server is of an earlier version, and cannot be paused")
+            raise ServerNotFound("the server has not answered yet")
+
+        def opening(call_id: int) -> Operate:
+            if change is None:
+                return Operate(call_id, action)
+            reason, by = sendable(change.reason), sendable(change.by)
+            return Operate(call_id, action, change.mode, reason, by, change.worker)
+
+        answer: Operated = await self.ask(opening, Operated)
+        changes = (IntakeChange(*one) for one in answer.changes[:MOST_CHANGES])
+        return Intake(answer.mode, tuple(changes))
+
     async def past_goals(self, action: str, page: PastPage) -> list[GoalInfo]:
         """Return a page of the history of an action.
 
@@ -296,8 +334,11 @@ class OpenCalls:
 
     # For the connection
 
-    def reopen(self, link: Link, max_frame: int) -> None:
-        """Open all calls on a new connection, whose server takes frames of so many bytes."""
+    def reopen(self, link: Link, max_frame: int, newest: int) -> None:
+        """Open all calls on a new connection, whose server takes frames of so many bytes, and knows
+        the messages with tags up to `newest`.
+        """
+        self._newest = newest
         self._link, self._max_frame, self._absent = link, max_frame, None
         self._unopened.clear()
         self._unopened.extend((*self._calls.values(), *self._observed.values()))

@@ -21,6 +21,7 @@ from fibaction.wire.messages.fields import (
     WireMessage,
     WordFields,
 )
+from fibaction.words.intake import IntakeMode
 
 
 @final
@@ -183,6 +184,25 @@ class AskPlaces(WireMessage, tag=27):
     """Largest number of goals in the answer."""
 
 
+@final
+class Operate(WireMessage, tag=28):
+    """Request to pause an action, to let it take goals again, or to drain its server; or for how it
+    takes goals. Answered by `Operated` or `Failed`. Sent only if `newest` of `Welcome` is 28 or
+    more.
+    """
+
+    id: ID
+    action: str
+    mode: IntakeMode | None = None
+    """`open`, `hold`, `refuse` or `drain`; nil to change nothing."""
+    reason: str = ""
+    """Reason of the change, for people."""
+    by: str = ""
+    """Name that the operator gives itself; the server notes it beside the name of the client."""
+    worker: str = ""
+    """Name of the only worker of a fleet that it is about, at a gateway; empty for all."""
+
+
 FromClient: TypeAlias = (
     Hello
     | SendGoal
@@ -196,6 +216,7 @@ FromClient: TypeAlias = (
     | Received
     | AskPeers
     | AskPlaces
+    | Operate
     | Ping
     | Goodbye
 )

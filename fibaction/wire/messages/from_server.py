@@ -12,6 +12,7 @@ from fibaction.wire.messages.fields import (
     ID,
     LONGEST_HEARTBEAT,
     AttemptNumber,
+    Count,
     FrameSize,
     GoalBytes,
     Goodbye,
@@ -21,6 +22,7 @@ from fibaction.wire.messages.fields import (
     Stamp,
     WireMessage,
 )
+from fibaction.words.intake import IntakeMode
 from fibaction.words.statuses import GoalStatus
 
 
@@ -35,6 +37,8 @@ class Welcome(WireMessage, tag=32):
     max_heartbeat: Seconds = LONGEST_HEARTBEAT
     """Longest `heartbeat` of the client that the server accepts, in seconds; a client with a longer
     one sends its messages at least this often."""
+    newest: Count = 27
+    """Highest tag of the messages of a client that the server knows."""
 
 
 @final
@@ -253,6 +257,16 @@ class Places(WireMessage, tag=46):
     """ID, place and length of the queue of each goal."""
 
 
+@final
+class Operated(WireMessage, tag=47):
+    """The way in which an action takes goals. Answers `Operate`; the last message of that ID."""
+
+    id: ID
+    mode: IntakeMode
+    changes: list[tuple[IntakeMode, str, str, Stamp]]
+    """Newest changes, newest first: mode, reason, operator, and time in nanoseconds since 1970."""
+
+
 FromServer: TypeAlias = (
     Welcome
     | Following
@@ -270,6 +284,7 @@ FromServer: TypeAlias = (
     | Watching
     | Peers
     | Places
+    | Operated
     | Ping
     | Goodbye
 )

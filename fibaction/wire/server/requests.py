@@ -38,6 +38,8 @@ from fibaction.wire.messages import (
     Finished,
     GoalChanged,
     ListActions,
+    Operate,
+    Operated,
     Peers,
     Places,
     Watching,
@@ -49,11 +51,14 @@ from fibaction.wire.messages import (
 from fibaction.wire.server.subscriptions import RequestSubscription
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
+from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction.words.statuses import GoalStatus
 
-Request: TypeAlias = CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces
+Request: TypeAlias = (
+    CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces | Operate
+)
 Answer: TypeAlias = (
-    CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers | Places
+    CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers | Places | Operated
 )
 
 PART = 256
@@ -83,10 +88,13 @@ class RequestHandlers:
         find: Callable[[str, Permission], Awaitable[Endpoint]],
         clients_of: Callable[[str], list[str]],
         say: Callable[[Answer], Awaitable[None]],
+        change_of: Callable[[IntakeMode, str, str, str], IntakeChange],
     ) -> None:
         """Let `find` return the endpoint of an action, if the client has that permission for it,
-        and `clients_of` the names of all clients that use an action.
+        `clients_of` the names of all clients that use an action, and `change_of` a change by this
+        client.
         """
+        self._change_of = change_of
         self._endpoints = endpoints
         self._changed = endpoints.changed if isinstance(endpoints, ChangingEndpoints) else None
         self._find = find
@@ -102,6 +110,7 @@ class RequestHandlers:
             ListActions: self._list_actions,
             AskPeers: self._ask_peers,
             AskPlaces: self._ask_places,
+            Operate: self._operate,
         }
 
     def limit_for(self, request: Request) -> str:
@@ -259,6 +268,18 @@ class RequestHandlers:
                     goals.append((bytes(info.goal_id), info.place, info.queue_length))
                 await slices.pause()
             await self._say(Places(message.id, goals))
+
+    async def _operate(self, message: Operate, _subscription: RequestSubscription) -> None:
+        permission = Permission.OBSERVE if message.mode is None else Permission.OPERATE
+        endpoint = await self._find(message.action, permission)
+        async with self._listing:
+            if message.mode is None:
+                intake = await endpoint.intake()
+            else:
+                change = self._change_of(message.mode, message.reason, message.by, message.worker)
+                intake = await endpoint.change_intake(change)
+            changes = [(one.mode, one.reason, one.by, one.at) for one in intake.changes]
+            await self._say(Operated(message.id, intake.mode, changes))
 
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
         async with self._listing:

@@ -45,7 +45,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.wire.codec import decode_from_client, encode
+from fibaction.wire.codec import NEWEST_FROM_CLIENT, decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import Link
@@ -113,7 +113,9 @@ class Session:
         self._is_ended = False
         self._goals = SessionGoals(self.client, owners, settings.limits, memory, link, self._fail)
         self._waiting: dict[int, RequestSubscription] = {}
-        self._handlers = RequestHandlers(endpoints, self.client.endpoint, clients_of, self._say)
+        self._handlers = RequestHandlers(
+            endpoints, self.client.endpoint, clients_of, self._say, self.client.change_of
+        )
         self._listings: deque[tuple[ListActions, RequestSubscription]] = deque()
         self._tasks: TaskGroup
 
@@ -182,7 +184,9 @@ class Session:
         limits = self._settings.limits
         longest = min(limits.heartbeat, LONGEST_HEARTBEAT)
         self._link.heartbeat.agree(min(hello.heartbeat, longest))
-        welcome = Welcome(VERSION, self._settings.heartbeat, limits.frame, longest)
+        welcome = Welcome(
+            VERSION, self._settings.heartbeat, limits.frame, longest, NEWEST_FROM_CLIENT
+        )
         self._link.post(encode(welcome))
 
     def _subscription(self, request: int) -> WireSubscription | None:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from hmac import compare_digest
 
-from fibaction._runtime.text import excerpt
+from fibaction._runtime.text import LENGTH, excerpt, shortened
 from fibaction.border.abc import Endpoint
 from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.frames import LEAST_FRAME, MAX_FRAME
@@ -14,6 +14,7 @@ from fibaction.wire.messages import VERSION, FromClient, Hello
 from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import AuthenticationFailed, ProtocolError, ServerNotFound
 from fibaction.words.goals import GoalID, Sender, digest_of
+from fibaction.words.intake import IntakeChange, IntakeMode
 
 SESSION_LENGTHS = (0, 16, 32)
 """Lengths of the secret of a client, in bytes; 0 for none."""
@@ -103,6 +104,13 @@ class SessionClient:
                 f"this client may not {permission.value} at the action {excerpt(action)!r}"
             )
         return self.find(action)
+
+    def change_of(
+        self, mode: IntakeMode, reason: str, by: str = "", worker: str = ""
+    ) -> IntakeChange:
+        """Return a change of how an action takes goals, by this client."""
+        name = f"{self.name}, for {excerpt(by)}" if by and self.name else self.name or excerpt(by)
+        return IntakeChange(mode, shortened(reason, LENGTH), name, worker=worker)
 
     def is_owner(self, action: str, goal_id: GoalID) -> bool:
         """Return whether the endpoint of an action knows this client as the owner of a goal."""

@@ -25,6 +25,7 @@ from fibaction_transports.nats.records import (
 )
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
+from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover
 from fibaction_transports.nats.worker.worker import FleetStore
@@ -141,7 +142,8 @@ async def member(
         lost = LostWorkers(made.broker, NAMES, made.membership, workers)
         takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
-        made.store = FleetStore(made.journals, takeover, key_places)
+        streams = LostStreams(made.journals, takeover, 0)
+        made.store = FleetStore(made.journals, takeover, key_places, streams.make_keys)
         made.journal = await stack.enter_async_context(
             made.store.open(
                 "count",

@@ -15,11 +15,12 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
     fib.<fleet>.want.<action>            note of a goal that waits, in the stream FIB_<fleet>_NOTES
     fib.<fleet>.left.<action>            note of a goal without a worker, in that stream as well
     fib.<fleet>.key.<limit>.<key>        places of a key, in the stream FIB_<fleet>_KEYS
+    fib.<fleet>.key.=00intake.<action>   how an action takes goals, in that stream as well
     fib.<fleet>.turn.<worker>            hint to a worker that it has a place of a key by now
     fib.<fleet>.past.<action>.<goal>.<stamp>    goal that has ended, in FIB_<fleet>_HISTORY
 
-A fleet has the stream of the keys only if a schedule has a `fleet_limit`, and that of the history
-only if a worker keeps one. The key is a digest.
+A fleet has the stream of the keys only if a schedule has a `fleet_limit`, or an action was paused,
+and that of the history only if a worker keeps one. A key, and an action there, is a digest.
 """
 
 from __future__ import annotations
@@ -129,6 +130,10 @@ class FleetNames:
     def key(self, limit: str, key: bytes) -> str:
         """Return the subject of the places of a key of a limit."""
         return f"{self.root}.key.{token_of(limit)}.{blake2b(key, digest_size=16).hexdigest()}"
+
+    def intake(self, action: str) -> str:
+        """Return the subject of how an action takes goals, in the stream of the places of keys."""
+        return self.key("\0intake", action.encode("utf-8", "surrogatepass"))
 
     def all_keys(self) -> str:
         """Return the subject of the places of all keys."""

@@ -46,12 +46,21 @@ from functools import partial
 from typing import TypeAlias, TypeVar
 
 import anyio
+from msgspec.structs import replace
 
 from fibaction.border.abc import Absence, Endpoint, GoalRequest, StatusStream, cancel_each
-from fibaction.border.peer_text import shortened
+from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
-from fibaction.wire.messages import LARGEST, CancelAnswered, CancelGoals, Follow, SendGoal
+from fibaction.wire.messages import (
+    LARGEST,
+    AwaitServer,
+    CancelAnswered,
+    CancelGoals,
+    Done,
+    Follow,
+    SendGoal,
+)
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -60,10 +69,12 @@ from fibaction.words.errors import (
     RejectionCode,
     ServerNotFound,
     StoreError,
+    TransportError,
     UnknownGoal,
 )
 from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
+from fibaction.words.intake import Intake, IntakeChange, IntakeMode
 from fibaction.words.meta import size_of
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.nats.client.call_routes import (
@@ -321,6 +332,35 @@ class FleetEndpoint(Endpoint):
             return await reading
         except StoreError as exc:
             raise ConnectionLost(str(exc)) from exc
+
+    async def intake(self) -> Intake:
+        return await self._operate(await self.workers())
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        workers = await self.workers()
+        if change.worker:
+            if change.worker not in workers:
+                raise ServerNotFound(
+                    f"no worker {excerpt(change.worker)!r} serves {self._info.name!r}: there is"
+                    f" {', '.join(map(repr, sorted(workers)))}"
+                )
+            if change.mode in (IntakeMode.HOLD, IntakeMode.REFUSE):
+                raise TransportError("a pause is about all workers: drain a single one")
+            workers = [change.worker]
+        return await self._operate(workers, replace(change, worker=""))
+
+    async def _operate(self, workers: list[str], change: IntakeChange | None = None) -> Intake:
+        """Ask workers how they take goals, or to change that. One that drains is no example."""
+
+        async def ask(worker: str) -> Intake:
+            calls = self._parts.connections.calls_of(worker)
+            await calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
+            return await calls.operate(self._info.name, change)
+
+        answers = await self.of_all(workers, ask)
+        if not answers:
+            raise self._parts.workers.not_served(self._info.name)
+        return min(answers, key=lambda intake: intake.mode is IntakeMode.DRAIN)
 
     async def wait_for_server(self) -> None:
         workers = self._parts.workers

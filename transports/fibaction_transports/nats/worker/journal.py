@@ -13,6 +13,7 @@ that other workers find it: see `takeover`.
 
 from __future__ import annotations
 
+import random
 import time
 from collections.abc import Awaitable, Callable
 
@@ -21,7 +22,7 @@ from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
 from fibaction.border.goal_store import GoalJournal, KeyPlaces, StoredGoal, Then
-from fibaction.words.errors import StoreError
+from fibaction.words.errors import StoreError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
     Broker,
@@ -47,6 +48,13 @@ from fibaction_transports.nats.worker.record_writes import (
     too_large,
 )
 
+INTAKE_PERIOD = 10.0
+"""Seconds after which a worker looks whether another one has noted a pause; clients that pause an
+action ask all workers to look."""
+INTAKE_TRIES = 50
+"""Times that a worker tries to change it, if others do so at the same time."""
+CLASH_PAUSE = 0.02
+"""Seconds until it tries again, at most."""
 RESERVE = 512
 """Bytes by which the record of an active goal may grow, and those of its headers."""
 
@@ -63,7 +71,9 @@ class FleetJournal(FleetHistory, GoalJournal):
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str],
         key_places: Callable[[str, int], Awaitable[KeyPlaces]],
+        make_keys: Callable[[], Awaitable[None]],
     ) -> None:
+        self._make_keys = make_keys
         super().__init__(parts.broker, parts.names, action)
         self.running = 0.0
         """The number of goals that the server can run now."""
@@ -99,6 +109,42 @@ class FleetJournal(FleetHistory, GoalJournal):
         """See `GoalJournal.key_places`."""
         self._keeps_waiting = True
         return await self._key_places(limit, most)
+
+    # The intake
+
+    intake_period = INTAKE_PERIOD
+
+    async def intake(self) -> bytes:
+        """See `IntakeSource.intake`. What was lost with its stream is kept again."""
+        try:
+            record = await self._broker.get(self._names.keys, self._names.intake(self.action))
+        except BrokerAway as exc:
+            raise StoreError(f"the intake cannot be read: {exc}") from exc
+        if record is None and self._intake:
+            return await self.change_intake(lambda kept: kept or self._intake)
+        self._intake = b"" if record is None else record.data
+        return self._intake
+
+    async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
+        """See `IntakeSource.change_intake`."""
+        subject = self._names.intake(self.action)
+        try:
+            await self._make_keys()
+            for _ in range(INTAKE_TRIES):
+                record = await self._broker.get(self._names.keys, subject)
+                before, sequence = (b"", 0) if record is None else (record.data, record.sequence)
+                self._intake = change(before)
+                if self._intake == before:
+                    return before
+                answer = await self._broker.put_and_wait(subject, self._intake, expected=sequence)
+                if not isinstance(answer, PutError):
+                    return self._intake
+                if answer.kind not in (PutFailure.REFUSED, PutFailure.UNKNOWN):
+                    raise StoreError(answer.text)
+                await sleep(random.uniform(0, CLASH_PAUSE))  # another worker was faster
+        except (BrokerAway, TransportError) as exc:
+            raise StoreError(f"the intake cannot be kept: {exc}") from exc
+        raise StoreError("the intake cannot be kept: too many others change it")
 
     # Writes
 

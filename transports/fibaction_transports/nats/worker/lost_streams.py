@@ -85,6 +85,16 @@ class LostStreams:
         more = self._more._replace(has_keys=True)
         await self._open(self._names.keys, "the places of keys", repair, more)
 
+    async def make_keys(self) -> None:
+        """Make the stream of the places of keys for other records, if it is missing.
+
+        Raises:
+            BrokerAway: The brokers do not answer.
+            TransportError: The stream cannot be made.
+        """
+        if self._names.keys not in self._repairs:
+            await self.open_keys(lambda: None)
+
     async def open_history(self, history: GoalHistory) -> None:
         """Make the stream of the history if it is missing, with these bounds, and look for it.
 

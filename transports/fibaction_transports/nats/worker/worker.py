@@ -48,8 +48,10 @@ class FleetStore(GoalStore):
         journals: WorkerJournals,
         takeover: Takeover,
         places: Callable[[str, int], Awaitable[KeyPlaces]],
+        make_keys: Callable[[], Awaitable[None]],
     ) -> None:
-        """Take the function for `GoalJournal.key_places`."""
+        """Take the function for `GoalJournal.key_places`, and the one that makes their stream."""
+        self._make_keys = make_keys
         self._journals = journals
         self._takeover = takeover
         self._places = places
@@ -74,7 +76,9 @@ class FleetStore(GoalStore):
         journals = self._journals
         if action in journals.by_action:
             raise StoreError(f"this worker serves the action {excerpt(action)!r} already")
-        journal = FleetJournal(journals, action, max_results, claim, lose, obstacle, self._places)
+        journal = FleetJournal(
+            journals, action, max_results, claim, lose, obstacle, self._places, self._make_keys
+        )
         journals.by_action[action] = journal
         try:
             async with Background() as tasks:
@@ -119,7 +123,9 @@ class Worker(MemberPart):
             has_ended=lost.has_ended,
             open_stream=self._streams.open_keys,
         )
-        self.store = FleetStore(self._journals, self._takeover, limits.places)
+        self.store = FleetStore(
+            self._journals, self._takeover, limits.places, self._streams.make_keys
+        )
         """The store for the servers of this worker."""
         self._offers = Offers(self._journals)
         self._served: tuple[ServedAction, ...] = ()

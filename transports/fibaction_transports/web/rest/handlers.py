@@ -19,7 +19,6 @@ from datetime import UTC, datetime
 from functools import partial
 from hashlib import blake2b
 from time import time_ns
-from typing import Any
 
 import anyio
 import msgspec
@@ -59,6 +58,7 @@ from fibaction_transports.web.rest.goal_list import (
     refusing,
 )
 from fibaction_transports.web.rest.goal_search import found_by, search_of
+from fibaction_transports.web.rest.intakes import LARGEST_CHANGE, all_described, wanted_in
 from fibaction_transports.web.rest.known_statistics import ONE_DAY, KnownStatistics
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import (
@@ -95,6 +95,8 @@ class RestInterface:
             (Resource.ACTIONS, "GET"): self._list_actions,
             (Resource.ACTION, "GET"): self._get_action,
             (Resource.STATISTICS, "GET"): self._tell_statistics,
+            (Resource.INTAKE, "GET"): self._tell_intake,
+            (Resource.INTAKE, "PUT"): self._change_intake,
             (Resource.GOALS, "GET"): self._list_goals,
             (Resource.GOALS, "POST"): self._send_goal,
             (Resource.GOALS, "DELETE"): self._cancel_goals,
@@ -176,12 +178,13 @@ class RestInterface:
     async def _list_actions(
         self, exchange: Exchange, _client: SessionClient, _route: Route
     ) -> None:
-        described = [_described(endpoint) for endpoint in self._endpoints.values()]
+        described = await all_described(self._endpoints.values())
         await exchange.answer(200, msgspec.json.encode(described))
 
     async def _get_action(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        await exchange.answer(200, msgspec.json.encode(_described(endpoint)))
+        [described] = await all_described([endpoint])
+        await exchange.answer(200, msgspec.json.encode(described))
 
     async def _tell_statistics(
         self, exchange: Exchange, client: SessionClient, route: Route
@@ -189,6 +192,17 @@ class RestInterface:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
         told = await self._statistics.of(endpoint, exchange.parameter("since") or ONE_DAY)
         await exchange.answer(200, told)
+
+    async def _tell_intake(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        await exchange.answer(200, msgspec.json.encode(await endpoint.intake()))
+
+    async def _change_intake(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OPERATE)
+        wanted = wanted_in(await exchange.json_body(LARGEST_CHANGE, self._memory))
+        change = client.change_of(wanted.mode, wanted.reason, worker=wanted.worker)
+        intake = await endpoint.change_intake(change)
+        await exchange.answer(200, msgspec.json.encode(intake))
 
     # Goals
 
@@ -368,12 +382,6 @@ class RestInterface:
             "reason": answer.reason,
         }
         await exchange.answer(202, msgspec.json.encode(members))
-
-
-def _described(endpoint: Endpoint) -> dict[str, Any]:
-    """Return the description of an action, with `away` while its server is."""
-    described: dict[str, Any] = msgspec.structs.asdict(endpoint.info)
-    return described if endpoint.absence is None else {**described, "away": endpoint.absence}
 
 
 def _events_of(endpoint: Endpoint, *, has_times: bool = False) -> GoalEvents:

@@ -13,10 +13,12 @@ from fibaction.feeds.statistics import ActionStatistics
 from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_TEXT
+from fibaction.words.intake import Intake
 from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
 from fibaction_transports.web.rest.goal_search import LARGEST_OFFSET, SORT_WORDS
+from fibaction_transports.web.rest.intakes import WantedIntake
 from fibaction_transports.web.rest.openapi_schemas import (
     SHARED,
     Names,
@@ -76,13 +78,17 @@ _SHARED_SCHEMAS: Json = {
             "result": _SCHEMA,
         },
         {
+            "intake": _object(
+                "Only while the action is paused, or its server drains.",
+                {"mode": {"enum": ["hold", "refuse", "drain"]}, "text": _text("For people.")},
+            ),
             "away": _object(
                 "Only while the server of the action cannot be reached.",
                 {
                     "since": {"type": "number", "description": "Seconds since 1970."},
                     "reason": _text("The newest error."),
                 },
-            )
+            ),
         },
     ),
     "Goal": _object(
@@ -249,6 +255,9 @@ _DESCRIPTIONS = {
     "describe": "The action, with the JSON Schemas of its messages.",
     "stats": "How many goals were accepted and ended, why some failed, and how long they waited"
     " and ran: in the last ten minutes, and since a time. An answer may be some seconds old.",
+    "intake": "Whether new goals are accepted, wait or are rejected, and who has changed that.",
+    "operate": "Pauses the action, drains its server, or lets it take goals again. It needs the"
+    " permission `OPERATE`, and is noted with the name of the client.",
     "list": "The goals that the server remembers, all or those that you choose. With `limit` they"
     " come in pages.",
     "send": "The answer comes at once, or with `wait` at the end of the goal. If you accept"
@@ -283,7 +292,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
         "responses": {"200": _answer("The goals.", _ref("Found"))} | _PROBLEMS,
     }
     paths: Json = {"/actions": {"get": all_actions}, "/goals": {"get": search}}
-    schemas = _SHARED_SCHEMAS | of_structs(ActionStatistics)
+    schemas = _SHARED_SCHEMAS | of_structs(ActionStatistics, Intake, WantedIntake)
     schema_names, operations = Names(*schemas), Names("list_actions", "search_goals")
     for info in infos:
         _Described(info, schemas, schema_names, operations).add(paths)
@@ -354,6 +363,7 @@ class _Described:
         described = self._operation("describe", "Describe the action.", answer)
         paths.setdefault(base, {"get": described})  # a list of goals at this address goes first
         paths[f"{base}/stats"] = {"get": self._statistics()}
+        paths[f"{base}/intake"] = self._intake()
         paths[f"{base}/goals"] = self._goals()
         paths[f"{base}/goals/{{goal_id}}"] = self._one_goal()
         events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
@@ -364,6 +374,15 @@ class _Described:
     def _statistics(self) -> Json:
         told = {"200": _answer("The statistics.", _ref("ActionStatistics"))}
         return self._operation("stats", "Tell the statistics.", told, _STATISTICS_SINCE)
+
+    def _intake(self) -> Json:
+        told = {"200": _answer("The way in which it takes goals.", _ref("Intake"))}
+        body = {"application/json": {"schema": _ref("WantedIntake")}}
+        return {
+            "get": self._operation("intake", "Tell how goals are taken.", told),
+            "put": self._operation("operate", "Pause, resume or drain.", told)
+            | {"requestBody": {"required": True, "content": body}},
+        }
 
     def _goals(self) -> Json:
         goals = _answer("Goals.", {"type": "array", "items": _ref("Goal")}) | {"headers": _NEXT}

@@ -26,6 +26,7 @@ class Resource(Enum):
     ACTIONS = auto()
     ACTION = auto()
     STATISTICS = auto()
+    INTAKE = auto()
     GOALS = auto()
     GOAL = auto()
     EVENTS = auto()
@@ -37,6 +38,7 @@ METHODS = {
     Resource.ACTIONS: ("GET",),
     Resource.ACTION: ("GET",),
     Resource.STATISTICS: ("GET",),
+    Resource.INTAKE: ("GET", "PUT"),
     Resource.GOALS: ("GET", "POST", "DELETE"),
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
@@ -76,6 +78,7 @@ _PATHS = {
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)"): Resource.GOAL,
     re.compile(r"/actions/(?P<action>.+)/goals"): Resource.GOALS,
     re.compile(r"/actions/(?P<action>.+)/stats"): Resource.STATISTICS,
+    re.compile(r"/actions/(?P<action>.+)/intake"): Resource.INTAKE,
     re.compile(r"/actions/(?P<action>.+)"): Resource.ACTION,
 }
 """The ways to read the path of an action, the longest address below it first."""

@@ -1,0 +1,41 @@
+"""`intakes_of`: the actions of a list that take no goals as usual."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import anyio
+
+from fibaction.border.endpoints import Endpoint
+from fibaction.words.action_error import ActionError
+from fibaction.words.intake import Intake, IntakeMode
+
+ASKED_AT_ONCE = 100
+"""Actions that are asked at the same time."""
+TIMEOUT = 2.0
+"""Seconds after which a list does not wait for more answers."""
+
+
+async def intakes_of(endpoints: Iterable[Endpoint]) -> dict[str, Intake]:
+    """Return how actions take goals that are paused, or whose server drains, by their names.
+
+    One that does not answer in time, or not to this client, is left out.
+    """
+    found: dict[str, Intake] = {}
+    limit = anyio.CapacityLimiter(ASKED_AT_ONCE)
+
+    async def ask(endpoint: Endpoint) -> None:
+        try:
+            async with limit:
+                intake = await endpoint.intake()
+        except ActionError:
+            return
+        if intake.mode is not IntakeMode.OPEN:
+            found[endpoint.info.name] = intake
+
+    with anyio.move_on_after(TIMEOUT):
+        async with anyio.create_task_group() as tasks:
+            for endpoint in endpoints:
+                if endpoint.absence is None:
+                    tasks.start_soon(ask, endpoint)
+    return found

@@ -1,0 +1,39 @@
+"""`fibaction.feeds.intakes`: the paused actions of a list."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from fibaction import ActionServer, TransportError
+from fibaction.border.abc import ForwardingEndpoint
+from fibaction.feeds import intakes
+from fibaction.feeds.intakes import intakes_of
+from fibaction.words.intake import Intake, IntakeChange, IntakeMode
+from tests.support.fibonacci import FIBONACCI, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+
+class Silent(ForwardingEndpoint):
+    async def intake(self) -> Intake:
+        await anyio.sleep_forever()
+        raise AssertionError
+
+
+class Forbidden(ForwardingEndpoint):
+    async def intake(self) -> Intake:
+        raise TransportError("no")
+
+
+async def test_only_what_is_not_open_is_told_and_nobody_waits_for_one_that_does_not_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(intakes, "TIMEOUT", 0.2)
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        assert await intakes_of([server]) == {}
+        paused = await server.change_intake(IntakeChange(IntakeMode.HOLD))
+        assert await intakes_of([Silent(server), Forbidden(server)]) == {}
+        assert await intakes_of([Silent(server), server]) == {"fibonacci": paused}
+        wrapped = ForwardingEndpoint(server)
+        assert await wrapped.change_intake(IntakeChange(IntakeMode.OPEN)) == await wrapped.intake()

@@ -1,0 +1,86 @@
+"""An operator's change over the wire: permissions, names, and servers of an earlier version."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from typing import Any
+
+import anyio
+import pytest
+
+from fibaction import (
+    ActionServer,
+    AuthenticationFailed,
+    Peer,
+    Permission,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
+from fibaction.wire.client.open_calls import OpenCalls
+from fibaction.wire.server import session
+from fibaction.words.intake import OPEN_INTAKE, Intake, IntakeChange, IntakeMode
+from tests.support.fibonacci import FIBONACCI, fibonacci
+
+pytestmark = pytest.mark.anyio
+
+TCP = "tcp://127.0.0.1:0"
+PAUSE = IntakeChange(IntakeMode.HOLD, "wet floor", "ann")
+
+
+@pytest.fixture
+async def server() -> AsyncGenerator[Any, None]:
+    async with ActionServer(FIBONACCI, fibonacci) as running:
+        yield running
+
+
+async def test_a_change_has_the_name_of_the_client_and_that_which_it_gives_itself(
+    server: Any,
+) -> None:
+    async with serve(server, TCP, tokens={"secret": "console"}) as (url,):
+        async with connect(f"{url}?token=secret", FIBONACCI) as client:
+            intake = await client.endpoint.change_intake(PAUSE)
+            assert intake == await server.intake() == await client.endpoint.intake()
+    [change] = intake.changes
+    assert change.by.startswith("console at 127.0.0.1:")
+    assert change.by.endswith(", for ann")
+
+
+async def test_only_a_client_that_may_operate_changes_anything(server: Any) -> None:
+    def authorize(_peer: Peer, _action: str, permission: Permission) -> bool:
+        return permission is not Permission.OPERATE
+
+    async with serve(server, TCP, authorize=authorize) as (url,):
+        async with connect(url, FIBONACCI) as client:
+            with pytest.raises(AuthenticationFailed, match="may not operate"):
+                await client.endpoint.change_intake(PAUSE)
+            assert await client.endpoint.intake() == Intake()
+
+
+async def test_a_server_of_an_earlier_version_is_not_asked(
+    server: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "NEWEST_FROM_CLIENT", 27)
+    async with serve(server, TCP) as (url,), connect(url, FIBONACCI) as client:
+        assert await client.endpoint.intake() is OPEN_INTAKE
+        with pytest.raises(TransportError, match="earlier version"):
+            await client.endpoint.change_intake(PAUSE)
+
+
+async def test_before_the_first_connection_nothing_is_changed() -> None:
+    calls = OpenCalls(9, 9)
+    assert await calls.operate("drive") is OPEN_INTAKE
+    with pytest.raises(ServerNotFound, match="has not answered yet"):
+        await calls.operate("drive", PAUSE)
+
+
+async def test_an_endpoint_without_levers_says_so(server: Any) -> None:
+    from fibaction import GoalStatus, Outcome
+    from tests.border.test_abc import OneEnd, OneGoal
+
+    endpoint = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    assert await endpoint.intake() is OPEN_INTAKE
+    with pytest.raises(TransportError, match="cannot be paused or drained from here"):
+        await endpoint.change_intake(PAUSE)
+    await anyio.lowlevel.checkpoint()
