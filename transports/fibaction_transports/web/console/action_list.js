@@ -34,7 +34,7 @@ export class ActionList {
       }
     }
     const names = [...actions.keys()].sort().filter((name) => name.toLowerCase().includes(word));
-    const shownItems = names.map((name) => this.shownItem(name, this.store.awayOf(name) ? "away" : active.get(name)));
+    const shownItems = names.map((name) => this.shownItem(name, this.store.awayOf(name) ? "away" : this.stateOf(name, active.get(name))));
     const { servers } = this.store;
     for (const namespace of namespacesOf(names, word ? [] : servers)) {
       const isAway = servers.some(({ name, away }) => away && `${name}/` === namespace);
@@ -53,6 +53,12 @@ export class ActionList {
     show(this.note, names.length === 0);
     const none = this.store.isDescribed ? "No action is served." : "Not connected yet.";
     setText(this.note, actions.size ? "No action has this name." : none);
+  }
+
+  /** Return that an action is paused or drains, or else the number of its active goals. */
+  stateOf(name, active) {
+    const mode = this.store.intakes.get(name)?.mode;
+    return mode ? (mode === "drain" ? "drains" : "paused") : active;
   }
 
   /** Return the line of an action or of a namespace, with its state. */
@@ -76,7 +82,7 @@ export class ActionList {
   mark(item, isShown, state) {
     markCurrent(item.link, isShown, "page");
     show(item.count, Boolean(state));
-    item.count.classList.toggle("away", state === "away");
+    item.count.classList.toggle("away", typeof state === "string");
     setText(item.count, typeof state === "number" ? `${state} active` : (state ?? ""));
   }
 }

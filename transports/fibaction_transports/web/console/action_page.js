@@ -6,6 +6,8 @@ import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
 import { counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
+import { Levers } from "./levers.js";
+import { Numbers } from "./numbers.js";
 import { PastGoals } from "./past_goals.js";
 import { descriptionOf } from "./schema.js";
 import { isWithin } from "./scope.js";
@@ -35,6 +37,8 @@ export class ActionPage {
         store.change();
       },
     });
+    this.levers = new Levers(store, info, scope, (text) => this.fail(text));
+    this.numbers = new Numbers(store, scope);
     this.missing = h("p", { class: "error", role: "status", hidden: true });
     this.away = h("p", { class: "error", role: "status", hidden: true });
     this.error = errorPlace();
@@ -42,12 +46,12 @@ export class ActionPage {
     this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
     const title = h("h1", {}, info?.name ?? (scope || "All actions"));
     const type = info?.type_name ?? info?.typeName;
-    const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null);
+    const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null, this.levers.element);
     const about = this.form && descriptionOf(info.goal);
     const parts = [h("h2", {}, "New goal"), about ? h("p", { class: "about" }, about) : null, this.form?.element];
     const form = this.form && h("section", { class: "card", "aria-label": "New goal" }, ...parts);
     const left = h("div", { class: "left" }, form, this.timeline.element);
-    this.element = h("div", { class: "page" }, head, this.missing, this.away, this.error, h("div", { class: "halves" }, left, this.place), this.list.element);
+    this.element = h("div", { class: "page" }, head, this.missing, this.away, this.levers.note, this.error, h("div", { class: "halves" }, left, this.place), this.numbers.element, this.list.element);
   }
 
   /** Show what there is now. */
@@ -71,6 +75,8 @@ export class ActionPage {
     this.view?.update(record);
     this.list.update(goals, record?.key, this.past.text);
     this.timeline.update(goals, record?.key);
+    this.levers.update();
+    this.numbers.update();
     this.tellAway();
     this.tellEnds(goals);
   }

@@ -11,8 +11,8 @@ function open(title, body, buttons) {
   return dialog;
 }
 
-/** Ask a question, and return whether the answer is yes. */
-export function confirmed(title, text, yes, no) {
+/** Ask a question, with more parts if need be, and return whether the answer is yes. */
+export function confirmed(title, text, yes, no, ...parts) {
   return new Promise((resolve) => {
     const answer = (value) => () => {
       dialog.close();
@@ -24,7 +24,7 @@ export function confirmed(title, text, yes, no) {
       button(yes, answer(true), { class: "danger" }),
       button(no, answer(false), { autofocus: true }),
     );
-    const dialog = open(title, h("p", {}, text), buttons);
+    const dialog = open(title, h("div", {}, h("p", {}, text), ...parts), buttons);
     dialog.addEventListener("cancel", () => resolve(false));
   });
 }

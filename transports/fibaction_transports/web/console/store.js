@@ -54,6 +54,7 @@ export class Store {
     this.state = "connecting";
     this.lost = undefined; // the connection, since then
     this.away = new Map(); // servers of actions behind a bridge, since then
+    this.intakes = new Map(); // of actions that are paused, or whose server drains
     this.servers = []; // if the page is of several
     this.onchange = () => {};
     this.frame = 0;
@@ -95,6 +96,7 @@ export class Store {
     if (infos) { // else the connection is lost, too
       const away = infos.filter((info) => info.away);
       this.away = new Map(away.map(({ name, away: { since, reason } }) => [name, { since: since * 1000, reason }]));
+      this.intakes = new Map(infos.filter((info) => info.intake).map(({ name, intake }) => [name, intake]));
       this.servers = (await this.fetched("servers")) ?? [];
     }
     this.markAway();
@@ -106,10 +108,10 @@ export class Store {
     return answer?.ok ? answer.json().catch(() => null) : null;
   }
 
-  /** Send a request that reads a path. */
-  ask(path, signal = undefined) {
+  /** Send a request about a path, which reads it without `options`. */
+  ask(path, signal = undefined, options = {}) {
     const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
-    return fetch(path, { headers, signal });
+    return fetch(path, { signal, ...options, headers: { ...headers, ...options.headers } });
   }
 
   /** Return since when the server of an action is away, and why; undefined if it is not. */

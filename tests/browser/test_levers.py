@@ -1,0 +1,94 @@
+"""The levers and the numbers of the console in a real browser."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page, expect
+
+from tests.browser.served import ArchiveProcess
+from tests.browser.test_console import NewRobot, action, goal, open_action, send
+
+
+@pytest.fixture
+def archive(browser: object, tmp_path: Path) -> Generator[ArchiveProcess, None, None]:
+    """Start a robot with a history."""
+    with ArchiveProcess(tmp_path) as running:
+        yield running
+
+
+def is_accessible(page: Page) -> None:
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+
+
+def fits(page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 740})
+    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+    assert page.evaluate(wide) <= 0
+
+
+def test_an_action_is_paused_and_resumed_after_questions_that_enter_does_not_answer_with_yes(
+    page: Page, new_robot: NewRobot
+) -> None:
+    robot = new_robot()
+    open_action(page, robot)
+    page.get_by_role("button", name="Pause…").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_role("button", name="Do not pause")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(dialog).to_have_count(0)
+    expect(page.get_by_role("button", name="Resume…")).to_be_hidden()
+
+    page.get_by_role("button", name="Pause…").click()
+    dialog.get_by_label("New goals").select_option("refuse")
+    dialog.get_by_label("Reason").fill("the floor is wet")
+    is_accessible(page)
+    dialog.get_by_role("button", name="Pause", exact=True).click()
+    note = re.compile(r"^fibonacci: the action is paused since 20.* by 127.*: the floor is wet\.$")
+    expect(page.get_by_role("status").filter(has_text="paused")).to_have_text(note)
+    expect(action(page, "fibonacci")).to_contain_text("paused")
+    page.get_by_label("order").fill("3")
+    page.get_by_role("button", name="Send goal").click()
+    expect(page.get_by_role("alert")).to_contain_text("Rejected: busy: the action is paused since")
+    is_accessible(page)
+    for width in (390, 1280):
+        fits(page, width)
+
+    page.reload()
+    page.get_by_role("button", name="Resume…").click()
+    dialog.get_by_role("button", name="Resume").click()
+    expect(action(page, "fibonacci")).not_to_contain_text("paused")
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+
+    page.get_by_role("button", name="Drain…").click()
+    dialog.get_by_role("button", name="Drain", exact=True).click()
+    expect(action(page, "fibonacci")).to_contain_text("drains")
+    expect(page.get_by_role("button", name="Pause…")).to_be_hidden()
+
+
+def test_the_p95_of_today_is_three_clicks_away(page: Page, archive: ArchiveProcess) -> None:
+    page.goto(archive.url)
+    action(page, "paint").click()
+    page.get_by_text("Numbers", exact=True).click()
+    table = page.get_by_role("table", name="Numbers")
+    day = table.get_by_role("row").filter(has_text="a day")
+    expect(day).to_contain_text(re.compile(r"^painta day230"))
+    cells = day.get_by_role("cell").all_inner_texts()
+    assert cells[3:6] == ["207", "0", "23"]
+    assert all(re.fullmatch(r"[\d.]+ (ms|s)", text) for text in cells[6:])
+    expect(page.locator(".failures")).to_have_text("23 goals: the can is empty")
+    page.get_by_label("Span").select_option("1h")
+    expect(table.get_by_role("row").filter(has_text="an hour")).to_contain_text("230")
+    is_accessible(page)
+    for width in (390, 1280):
+        fits(page, width)
+    page.goto(f"{archive.url}/#/")
+    page.get_by_text("Numbers", exact=True).click()
+    expect(page.locator(".failures")).to_have_text("23 goals of paint: the can is empty")
+    expect(page.locator(".numbers .note").last).to_contain_text("are counted: varnish.")
