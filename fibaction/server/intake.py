@@ -44,7 +44,7 @@ def goals_here() -> WeakSet[GoalRegistry]:
     """Return the goals of all servers of this event loop: a drain waits for their steps, too."""
     found = _goals_here.get(None)
     if found is None:
-        found = WeakSet()
+        found = WeakSet["GoalRegistry"]()
         _goals_here.set(found)
     return found
 

@@ -137,6 +137,8 @@ class Writer:
         kept: list[bytes] = []
         if error := await self._do(partial(self._change_intake, action, change, kept)):
             raise StoreError(error)
+        if not kept:  # which the next goal will be told, too: the store has not failed
+            raise StoreError(f"the disk has no room for the intake in {excerpt(self._path)}")
         return kept[0]
 
     async def finish(self, action: str) -> None:
@@ -255,7 +257,7 @@ class Writer:
             return len(kept[0]) + PAGE
 
         if not self._file.write(write):
-            raise StoreError(f"the disk has no room for the intake in {self._path}")
+            kept.clear()
 
     def _clean(self) -> None:
         """Make the file smaller, if need be, after the clients were told."""

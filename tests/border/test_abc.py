@@ -42,6 +42,7 @@ from fibaction.words.goals import (
     Outcome,
     Sender,
 )
+from fibaction.words.intake import Intake, IntakeChange, IntakeMode
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.inprocess import InProcessTransport
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
@@ -435,6 +436,34 @@ async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_th
     read: list[GoalInfo] = []
     await wrapper.read_past(GoalQuery(), read.extend)
     assert len(read) == 1
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_has_no_levers_unless_it_says_so_and_a_wrapper_has_the_inner_ones() -> (
+    None
+):
+    class Levers(OneGoal):
+        async def change_intake(self, change: IntakeChange) -> Intake:
+            return Intake(change.mode)
+
+    pause = IntakeChange(IntakeMode.HOLD)
+    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    with pytest.raises(TransportError, match="cannot be paused or drained from here"):
+        await inner.change_intake(pause)
+    wrapper = ForwardingEndpoint(Levers(inner.stream))
+    assert await wrapper.change_intake(pause) == Intake(IntakeMode.HOLD)
+    assert await wrapper.intake() == Intake()
+
+
+@pytest.mark.asyncio
+async def test_a_wrapper_with_a_history_of_its_own_has_it_read_as_a_whole() -> None:
+    class Past(ForwardingEndpoint):
+        async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+            return [GoalInfo(KNOWN, 7, GoalStatus.SUCCEEDED)]
+
+    read: list[GoalInfo] = []
+    await Past(OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))).read_past(GoalQuery(), read.extend)
+    assert [info.stamp for info in read] == [7]
 
 
 def test_a_transport_serves_actions_under_their_own_names() -> None:

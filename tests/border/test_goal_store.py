@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fibaction import SqliteStore
-from fibaction.border.goal_store import NoFleet, no_obstacle
+from fibaction.border.goal_store import IntakeSource, NoFleet, no_obstacle
 from fibaction.testing.contract.stores import a_goal
 from fibaction.words.statuses import GoalStatus
 
@@ -95,3 +95,11 @@ def test_a_goal_that_was_given_up_is_a_new_one_when_it_runs_again() -> None:
 
 def test_a_server_that_names_no_obstacle_runs_every_goal() -> None:
     assert no_obstacle(a_goal(1)) == ""
+
+
+@pytest.mark.asyncio
+async def test_an_intake_is_kept_in_memory_unless_the_store_keeps_it() -> None:
+    source = IntakeSource()
+    assert await source.intake() == b""
+    assert await source.change_intake(lambda kept: kept + b"1") == b"1"
+    assert (await source.intake(), source.intake_period) == (b"1", math.inf)

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, TransportError
-from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import Absence, ForwardingEndpoint
 from fibaction.feeds import intakes
 from fibaction.feeds.intakes import intakes_of
 from fibaction.words.intake import Intake, IntakeChange, IntakeMode
@@ -19,6 +19,12 @@ class Silent(ForwardingEndpoint):
     async def intake(self) -> Intake:
         await anyio.sleep_forever()
         raise AssertionError
+
+
+class Away(ForwardingEndpoint):
+    @property
+    def absence(self) -> Absence | None:
+        return Absence(0, "gone")
 
 
 class Forbidden(ForwardingEndpoint):
@@ -35,5 +41,6 @@ async def test_only_what_is_not_open_is_told_and_nobody_waits_for_one_that_does_
         paused = await server.change_intake(IntakeChange(IntakeMode.HOLD))
         assert await intakes_of([Silent(server), Forbidden(server)]) == {}
         assert await intakes_of([Silent(server), server]) == {"fibonacci": paused}
+        assert await intakes_of([Away(server)]) == {}
         wrapped = ForwardingEndpoint(server)
         assert await wrapped.change_intake(IntakeChange(IntakeMode.OPEN)) == await wrapped.intake()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 
 from fibaction import (
@@ -25,6 +26,7 @@ from fibaction import (
     TransportError,
 )
 from fibaction.border.goal_store import IntakeSource
+from fibaction.stores._writer import SqliteJournal
 from fibaction.words.intake import Intake, IntakeChange, IntakeMode
 
 pytestmark = pytest.mark.anyio
@@ -184,6 +186,34 @@ async def test_a_pause_outlives_the_server_with_its_store_and_a_drain_does_not(
             assert await driver.statuses() == [GoalStatus.ACCEPTED]
             await server.change_intake(OPEN)
             assert await (await driver.client.attach(goal.goal_id)).result() == "there"
+
+
+async def test_a_suspect_and_what_waits_for_it_begin_in_their_turn_after_a_pause() -> None:
+    driver = Driver()
+    with anyio.fail_after(20):
+        async with driver.server as server:
+            runs = server._parts.runs
+            await server.change_intake(HOLD)
+            goal = await driver.client.send_goal(1)
+            suspect: Any = object()
+            runs.suspects.add(suspect, runs)
+            await server.change_intake(OPEN)
+            assert await driver.statuses() == [GoalStatus.ACCEPTED]
+            runs.suspects._discard(suspect)
+            driver.go_on.set()
+            assert await goal.result() == "there"
+
+
+async def test_a_server_with_a_shared_store_looks_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SqliteJournal, "intake_period", 0.01)
+    with anyio.fail_after(20):
+        async with Driver(store=SqliteStore(tmp_path / "goals.db")).server as server:
+            paused = msgspec.msgpack.encode(Intake(IntakeMode.REFUSE))
+            await server._parts.keeper.intakes.change_intake(lambda _: paused)
+            while not server._parts.registry.intake.busy:
+                await anyio.lowlevel.checkpoint()
 
 
 class Shared(IntakeSource):

@@ -141,6 +141,40 @@ async def test_a_store_keeps_goals_that_have_ended_for_a_history(path: Path) -> 
         SqliteStore(path, history=5)  # type: ignore[arg-type]  # that is the point
 
 
+async def test_the_intake_of_each_action_is_kept_and_changed_as_a_whole(path: Path) -> None:
+    store = SqliteStore(path)
+    async with opened(store) as kept, opened(store, "drive") as other:
+        assert await kept.journal.intake() == b""
+        await kept.journal.change_intake(lambda before: before + b"1")
+        await kept.journal.change_intake(lambda before: before + b"2")
+        assert await other.journal.intake() == b""
+    async with opened(SqliteStore(path, history=GoalHistory())) as kept:
+        assert await kept.journal.intake() == b"12"
+
+
+async def test_an_intake_for_which_the_disk_has_no_room_is_refused_and_goals_are_kept(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        with monkeypatch.context() as full:
+            full.setattr(JournalFile, "write", lambda *_: False)
+            with pytest.raises(StoreError, match="no room for the intake"):
+                await kept.journal.change_intake(lambda _: b"1")
+        await kept(kept.journal.accept, a_goal(1))
+        await kept.journal.change_intake(lambda _: b"1")
+
+
+async def test_a_store_that_has_failed_changes_no_intake(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+
+        def fail(_before: bytes) -> bytes:
+            raise StoreError("the disk is gone")
+
+        for change in (fail, bytes):
+            with pytest.raises(StoreError, match="the disk is gone"):
+                await kept.journal.change_intake(change)
+
+
 async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None:
     store = SqliteStore(path)
     told: list[tuple[int, str]] = []

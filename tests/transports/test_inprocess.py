@@ -20,8 +20,9 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import Endpoint
-from fibaction.words.goal_query import PastPage
+from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import Sender
+from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction_transports import inprocess
 from fibaction_transports.inprocess import InProcessTransport
 from tests.cli.served import Altered
@@ -166,6 +167,9 @@ async def test_an_endpoint_hands_everything_on() -> None:
             assert first is not None
             assert first.goal_id == stream.goal_id
             assert await endpoint.past_goals(PastPage()) == []
+            await endpoint.read_past(GoalQuery(), print)
+            paused = await endpoint.change_intake(IntakeChange(IntakeMode.HOLD))
+            assert paused == await endpoint.intake()
 
 
 async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_connection() -> None:

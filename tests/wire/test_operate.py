@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from typing import Any
 
-import anyio
 import pytest
 
 from fibaction import (
@@ -73,14 +72,3 @@ async def test_before_the_first_connection_nothing_is_changed() -> None:
     assert await calls.operate("drive") is OPEN_INTAKE
     with pytest.raises(ServerNotFound, match="has not answered yet"):
         await calls.operate("drive", PAUSE)
-
-
-async def test_an_endpoint_without_levers_says_so(server: Any) -> None:
-    from fibaction import GoalStatus, Outcome
-    from tests.border.test_abc import OneEnd, OneGoal
-
-    endpoint = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
-    assert await endpoint.intake() is OPEN_INTAKE
-    with pytest.raises(TransportError, match="cannot be paused or drained from here"):
-        await endpoint.change_intake(PAUSE)
-    await anyio.lowlevel.checkpoint()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalInfo, GoalStatus
+from fibaction.words import goal_query
 from fibaction.words.goal_query import (
     LABEL_TEXT,
     MAX_WORDS,
@@ -224,3 +225,20 @@ def test_a_cancel_takes_a_time_or_any_stamp(text: str, stamp: int) -> None:
 def test_a_cancel_up_to_a_time_does_not_mean_all_goals(text: str) -> None:
     with pytest.raises(ValueError, match=r"^a stamp of 0 means all goals|is not a time"):
         cancel_stamp_of(text, NOW, is_local=False)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
+async def test_all_pages_are_read_one_after_the_other(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_query, "MOST_PAST", 2)
+    ended = GoalStatus.SUCCEEDED
+    infos = [info(stamp=stamp, status=ended) for stamp in range(count, 0, -1)]
+
+    async def past_goals(page: PastPage) -> list[GoalInfo]:
+        return [one for one in infos if page.has(one)][:2]
+
+    read: list[GoalInfo] = []
+    await goal_query.read_pages(past_goals, GoalQuery(), read.extend)
+    assert read == infos

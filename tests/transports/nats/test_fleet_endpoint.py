@@ -8,6 +8,7 @@ from typing import Any
 
 import anyio
 import pytest
+from msgspec.structs import replace
 
 from fibaction import (
     Action,
@@ -21,10 +22,12 @@ from fibaction import (
     Parent,
     Schedule,
     ServerNotFound,
+    TransportError,
     UnknownGoal,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest
 from fibaction.words.goals import CancelAnswer, digest_of
+from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.client.free_workers import OFFER_LIFE
 from tests.support.matching import End
@@ -541,3 +544,24 @@ async def test_a_cancel_of_a_goal_that_has_ended_is_told_so_when_its_owner_has_f
         a.own(GOAL_ID, **ENDED)
         answer = await connection.endpoint(COUNT).cancel_goals(GOAL_ID)
         assert answer.return_code is CancelCode.GOAL_TERMINATED
+
+
+async def test_workers_that_are_gone_meanwhile_cannot_be_paused(
+    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def nobody(*_: object) -> list[object]:
+        return []
+
+    pause = IntakeChange(IntakeMode.HOLD)
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        assert (await endpoint.change_intake(pause)).mode is IntakeMode.HOLD
+        assert (await endpoint.intake()).mode is IntakeMode.HOLD
+        for worker, error in (("z", "no worker 'z'"), ("a", "about all workers")):
+            with pytest.raises(TransportError, match=error):
+                await endpoint.change_intake(replace(pause, worker=worker))
+        drain = IntakeChange(IntakeMode.DRAIN, worker="a")
+        assert (await endpoint.change_intake(drain)).mode is IntakeMode.DRAIN
+        monkeypatch.setattr(endpoint, "of_all", nobody)
+        with pytest.raises(ServerNotFound):
+            await endpoint.change_intake(pause)
