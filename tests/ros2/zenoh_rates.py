@@ -104,10 +104,10 @@ async def start() -> None:
         async with AsyncExitStack() as opened:
             known = [await opened.enter_async_context(new_node(one)) for one in range(50)]
             for one in known:
-                await know(one, 51)
+                await know(one, 50)
             async with new_node(50) as late:
                 began = perf_counter()
-                await know(late, 52)
+                await know(late, 51)
                 print(f"50 participants known after {(perf_counter() - began) * 1e3:.0f} ms")
 
 

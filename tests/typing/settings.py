@@ -85,6 +85,7 @@ def settings_of_a_client() -> None:
         locators=["tcp/robot:7447"],
         mode="client",
         config="transport/link/tx/lease=2000",
+        type_hashes=True,
         search=["interfaces"],
     )
     connect(
@@ -157,7 +158,14 @@ def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
         ip_versions=(4,),
         fragment_size=1400,
     )
-    serve(server, "zenoh://robot", locators=["tcp/robot:7447"], mode="peer", config="")
+    serve(
+        server,
+        "zenoh://robot",
+        locators=["tcp/robot:7447"],
+        mode="peer",
+        config="",
+        type_hashes=True,
+    )
     serve(
         server,
         "nats://broker/fleet",
@@ -287,7 +295,12 @@ def settings_of_transports() -> None:
         fragment_size=1400,
     )
     ZenohTransport(
-        **ROS, locators=["tcp/robot:7447"], mode="client", config="", search=["interfaces"]
+        **ROS,
+        locators=["tcp/robot:7447"],
+        mode="client",
+        config="",
+        type_hashes=False,
+        search=["interfaces"],
     )
     McpStdioTransport(**AGENTS)
     McpHttpTransport(**AGENTS_OVER_HTTP)

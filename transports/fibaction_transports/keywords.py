@@ -53,6 +53,7 @@ class ConnectKeywords(TypedDict, total=False):
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
     config: str
+    type_hashes: bool
     worker: str
     user: str
     password: str
@@ -98,6 +99,7 @@ class ServeKeywords(TypedDict, total=False):
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
     config: str
+    type_hashes: bool
     worker: str
     replicas: int
     history_days: float | None
@@ -214,6 +216,7 @@ class ZenohKeywords(OwnNodeKeywords, total=False):
     locators: Sequence[str]
     mode: Literal["", "peer", "client"]
     config: str
+    type_hashes: bool
 
 
 class HostKeywords(WireKeywords, total=False):

@@ -7,13 +7,13 @@ from itertools import count
 import pytest
 
 from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.node.parts import NO_HASH
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     ANY_HASH,
     CLIENT,
     MOST_CHARACTERS,
-    NO_HASH,
     PUBLISHER,
     SERVER,
     SUBSCRIPTION,

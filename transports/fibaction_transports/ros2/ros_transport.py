@@ -77,9 +77,9 @@ class RosTransport(ConfiguredTransport):
         given: dict[str, str] = {}
         for name in settings.shared:
             one = getattr(settings, name)
-            text = ",".join(map(str, one)) if is_list(one) else one
-            if one != getattr(usual, name) and text != "":
-                given[name] = text
+            text = ",".join(map(str, one)) if is_list(one) else str(one)
+            if one != getattr(usual, name) and text:
+                given[name] = text.lower() if isinstance(one, bool) else text
         return f"{self.scheme}://{'?' if given else ''}{urlencode(given, safe='/,')}"
 
     @asynccontextmanager

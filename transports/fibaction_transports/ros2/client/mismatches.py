@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import ActionNames
-from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.parts import NO_HASH, EndInfo
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import RosSettings
@@ -98,6 +98,8 @@ def explain_versions(ros: RosNode, full: ActionNames, impl: Any) -> str:
             wrong.append(f"{ours.type_name} is {there} there, and {_short(ours.type_hash)} here")
     if not wrong:
         return ""
+    if any(end.type_hash == NO_HASH for end in ros.request_readers(full.send_goal)):
+        return "its server is of ROS 2 Humble: append ?type_hashes=false to the URL"
     return (
         f"its server has another version of the types: {'; '.join(wrong)}; use the interface files"
         " with which the server was built, at both ends"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from fibaction_transports.ros2.qos import EndQos
 
@@ -25,6 +25,10 @@ UnansweredSink: TypeAlias = Callable[[int], None]
 """Takes the number of a request that will have no answer."""
 
 
+NO_HASH: Final = "TypeHashNotSupported"
+"""The hash of each type, as nodes of ROS 2 Humble tell it in Zenoh."""
+
+
 class EndInfo(NamedTuple):
     """A publisher or a subscription of any node, as the graph describes it."""
 
@@ -34,7 +38,7 @@ class EndInfo(NamedTuple):
     """The full name of its node, for example `/robot/arm`; empty if it is not known yet."""
     qos: EndQos
     type_hash: str = ""
-    """The hash of the type of its messages, if the middleware tells it."""
+    """The hash of the type of its messages, if the middleware tells it; `NO_HASH` in Humble."""
     action_hash: str = ""
     """That of the action whose feedback it publishes, if it is one of fibaction over DDS."""
     type_id: bytes = b""

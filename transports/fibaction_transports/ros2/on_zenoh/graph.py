@@ -8,7 +8,7 @@ from typing import Final
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.graph_view import DiscoveryState
-from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.parts import NO_HASH, EndInfo
 from fibaction_transports.ros2.node.ros_node import RosGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     ANY_HASH,
@@ -32,7 +32,9 @@ logger = clean_logger("fibaction.ros2")
 class ZenohGraph(RosGraph):
     """The nodes of a domain and their ends, those of this node among them."""
 
-    def __init__(self) -> None:
+    def __init__(self, has_hashes: bool = True) -> None:
+        self._unknown = "" if has_hashes else NO_HASH
+        """The hash that tells nothing of a type."""
         self._entities: dict[str, Entity] = {}
         self._ends: dict[tuple[str, str], dict[str, Entity]] = {}
         """The ends of each kind and name."""
@@ -137,5 +139,6 @@ class ZenohGraph(RosGraph):
 
     def _infos(self, kind: str, topic: str) -> list[EndInfo]:
         return [
-            EndInfo(one.gid, one.node, one.qos, one.type_hash) for one in self.ends(kind, topic)
+            EndInfo(one.gid, one.node, one.qos, one.type_hash.removeprefix(self._unknown))
+            for one in self.ends(kind, topic)
         ]

@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 from xxhash import xxh3_128_digest
 
+from fibaction_transports.ros2.node.parts import NO_HASH
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.message_type import (
@@ -52,7 +53,6 @@ def key_of(domain: int, name: str, type_name: str, type_hash: str) -> str:
 
 ANY_HASH: Final = "*"
 """In a key: any version of a type. In a token there is `NO_HASH` instead."""
-NO_HASH: Final = "TypeHashNotSupported"
 
 
 def hash_of(of: MessageType | ServiceType) -> str:
@@ -206,6 +206,8 @@ class OwnEnd(NamedTuple):
     """The full name of its topic or service."""
     key: str
     token: str
+    type_hash: str
+    """The hash of its type, as in the key."""
 
     @property
     def gid(self) -> bytes:

@@ -15,6 +15,7 @@ from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError, text_of
 from fibaction_transports.ros2.node.parts import (
+    NO_HASH,
     AnswerSink,
     ErrorSink,
     MessageSink,
@@ -81,11 +82,13 @@ class ZenohNode(OwnNode):
         start: NodeStart,
         types: FileTypes,
         tasks: TaskGroup,
+        has_hashes: bool,
     ) -> None:
         self.session = session
+        self._has_hashes = has_hashes
         self._domain = domain
         self._tasks = tasks
-        self.graph = ZenohGraph()
+        self.graph = ZenohGraph(has_hashes)
         self._tokens = NodeTokens(
             domain, session.zid, session.numbers, start.name.namespace, start.name.name
         )
@@ -254,9 +257,10 @@ class ZenohNode(OwnNode):
 
     def _end(self, kind: str, name: str, of: MessageType | ServiceType, qos: EndQos) -> OwnEnd:
         """Return a new end."""
-        type_hash = hash_of(of)
+        type_hash = hash_of(of) if self._has_hashes else NO_HASH
         key = key_of(self._domain, name, of.name, type_hash)
-        return OwnEnd(name, key, self._tokens.end(kind, name, of.name, type_hash, qos))
+        token = self._tokens.end(kind, name, of.name, type_hash, qos)
+        return OwnEnd(name, key, token, type_hash)
 
     def _declared(self, end: OwnEnd, make: Callable[[], EndT]) -> EndT:
         """Make an end, and announce it: others use it as soon as they see its token."""
@@ -270,15 +274,19 @@ class ZenohNode(OwnNode):
 
 @asynccontextmanager
 async def open_node(
-    configuration: Configuration, domain: int, start: NodeStart, types: FileTypes
+    configuration: Configuration,
+    domain: int,
+    start: NodeStart,
+    types: FileTypes,
+    has_hashes: bool = True,
 ) -> AsyncGenerator[ZenohNode, None]:
-    """Open a node, and run it while the block is open.
+    """Open a node, and run it while the block is open; without hashes, it is one of Humble.
 
     Raises:
         TransportError: The session cannot be opened.
     """
     async with open_session(configuration) as session, Background() as tasks:
-        node = ZenohNode(session, domain, start, types, tasks)
+        node = ZenohNode(session, domain, start, types, tasks, has_hashes)
         if (attempts := configuration.attempts) is None:
             tasks.start_soon(node.find_router, 1.0, name="look for a router")
         else:

@@ -39,7 +39,6 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     SERVER,
     OwnEnd,
     attachment,
-    hash_of,
     read_attachment,
 )
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession
@@ -122,7 +121,7 @@ class ZenohCaller(ServiceCaller):
         self._key = end.key
         self._gid = end.gid
         self._service = end.name
-        self._hash = hash_of(service_type)
+        self._hash = end.type_hash
         self._encode = service_type.Request.codec.encode
         self._decode = service_type.Response.codec.decode
         self._take = take

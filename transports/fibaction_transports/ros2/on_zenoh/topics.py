@@ -23,7 +23,6 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     SUBSCRIPTION,
     OwnEnd,
     attachment,
-    hash_of,
     read_attachment,
 )
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession
@@ -46,7 +45,7 @@ class ZenohPublisher(TopicPublisher):
         self._graph = graph
         self._gid = end.gid
         self._topic = end.name
-        self._hash = hash_of(message_type)
+        self._hash = end.type_hash
         self._encode = message_type.codec.encode
         self._number = 0
         self._sent = 0
@@ -108,7 +107,7 @@ class ZenohSubscription(TopicSubscription):
     ) -> None:
         self._graph = graph
         self._topic = end.name
-        self._hash = hash_of(message_type)
+        self._hash = end.type_hash
         self._take = take
         self.declared: Any  # a subscriber, whose types are incomplete
         self._unread = Drops(f"a message on {end.name}")

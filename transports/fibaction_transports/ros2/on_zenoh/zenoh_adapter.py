@@ -20,7 +20,7 @@ class ZenohSettings(OwnNodeSettings, frozen=True, kw_only=True):
     """The settings of a `ZenohTransport`."""
 
     scheme = "zenoh"
-    shared: ClassVar[tuple[str, ...]] = (*OwnNodeSettings.shared, "locators")
+    shared: ClassVar[tuple[str, ...]] = (*OwnNodeSettings.shared, "locators", "type_hashes")
 
     locators: Sequence[str] = ()
     """The routers or peers to connect to, for example `tcp/robot.local:7447`. Without them, those
@@ -32,6 +32,9 @@ class ZenohSettings(OwnNodeSettings, frozen=True, kw_only=True):
     config: str = ""
     """Values of Zenoh's own configuration, which count before all others, as `key=json5;key=json5`:
     for example `transport/auth/usrpwd/user="me";transport/auth/usrpwd/password="secret"`."""
+
+    type_hashes: bool = True
+    """False for the nodes of ROS 2 Humble, which do not tell the versions of types."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -65,5 +68,6 @@ class ZenohAdapter(RosAdapter):
         )
         given = self._node.domain_id
         domain = domain_in(os.environ) if given is None else given
-        async with open_node(configuration, domain, start, self._types) as node:
+        hashes = settings.type_hashes
+        async with open_node(configuration, domain, start, self._types, hashes) as node:
             yield node
