@@ -476,6 +476,26 @@ async def test_a_session_is_opened_when_the_one_before_it_with_the_same_port_is_
             tasks.start_soon(use, begun.wait)
 
 
+async def test_a_session_that_does_not_close_in_time_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+
+    class Slow:
+        def __init__(self, inner: zenoh.Session) -> None:
+            self.close_inner: Callable[[], object] = inner.close
+
+        def close(self) -> None:
+            self.close_inner()
+            zenoh.Config.from_json5("{")  # the library's error
+
+    with anyio.fail_after(PATIENCE):
+        async with connect(apart(new_url())):
+            for shared in session._OPEN.values():
+                monkeypatch.setattr(shared, "session", Slow(shared.session))
+    assert "a session of Zenoh goes on closing" in caplog.text
+
+
 async def test_zenohs_own_values_are_followed_and_wrong_ones_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
