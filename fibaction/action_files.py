@@ -20,10 +20,10 @@ from fibaction.interfaces import (
     python_source,
     read_action,
 )
-from fibaction.interfaces.files import define_action, remember
+from fibaction.interfaces.files import define_action, define_types, remember
 from fibaction.types.action import Action
 
-__all__ = ["InterfaceError", "action_source", "define_action", "load_action"]
+__all__ = ["InterfaceError", "action_source", "define_action", "define_types", "load_action"]
 
 
 def load_action(

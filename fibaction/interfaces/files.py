@@ -11,7 +11,7 @@ import os
 import re
 from codecs import BOM_UTF8
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -115,6 +115,16 @@ class ServiceFile(NamedTuple):
     request: InterfaceMessage
     response: InterfaceMessage
 
+    @property
+    def type_name(self) -> str:
+        """The ROS 2 type, for example `std_srvs/srv/Trigger`."""
+        return self.request.type_name.removesuffix("_Request")
+
+    @property
+    def text(self) -> str:
+        """The text of the file."""
+        return "---\n".join(part.definition.text for part in (self.request, self.response))
+
 
 def inside_out(*messages: InterfaceMessage) -> list[InterfaceMessage]:
     """Return messages and all that they nest, each once, and each after those that it nests."""
@@ -180,6 +190,8 @@ def read_message(type_name: str, search: SearchPath) -> InterfaceMessage:
             found.
         OSError: A file cannot be read.
     """
+    if type_name in _DEFINED:
+        return read_message_texts(type_name, _DEFINED)
     return _message(type_name, search, {})
 
 
@@ -208,6 +220,8 @@ def read_service(type_name: str, search: SearchPath) -> ServiceFile:
         OSError: A file cannot be read.
     """
     package, name = _named(type_name, "srv", "std_srvs/srv/Trigger")
+    if type_name in _DEFINED:
+        return _service(Path(f"{type_name}.srv"), _DEFINED[type_name], package, SearchPath((), ()))
     places = (
         root / place
         for root in search.roots
@@ -219,11 +233,31 @@ def read_service(type_name: str, search: SearchPath) -> ServiceFile:
         roots = ", ".join(dict.fromkeys(map(str, search.roots))) or "no folder"
         problem = f"expected {package}/srv/{name}.srv in {roots}, found none"
         raise InterfaceError(Path(type_name), 1, problem)
-    parts = parse_service(text, path or Path(f"{type_name}.srv"))
-    found = _Messages(package, search, {})
+    return _service(path or Path(f"{type_name}.srv"), text, package, search)
+
+
+def read_interface(path: Path, search: Sequence[Path]) -> InterfaceMessage | ServiceFile:
+    """Read a `.msg` or a `.srv` file in the folder of its package.
+
+    Raises:
+        InterfaceError: It is not in a package, is malformed, or nests what is not found.
+        OSError: The file cannot be read.
+    """
+    text, package = _text_of(path), package_of(path)
+    if not package:
+        raise InterfaceError(path, 1, f"expected a file such as my_msgs/{path.suffix[1:]}/Name")
+    around = SearchPath.around(path, search)
+    if path.suffix == ".srv":
+        return _service(path, text, package, around)
+    return _message(f"{package}/msg/{path.stem}", around, {})
+
+
+def _service(path: Path, text: str, package: str, search: SearchPath) -> ServiceFile:
+    parts = parse_service(text, path)
+    found = _Messages(package, search, _DEFINED if not search.roots else {})
     found.read(parts)
     request, response = (
-        found.message(part, package, f"the {word} of `{name}`", "srv")
+        found.message(part, package, f"the {word} of `{path.stem}`", "srv")
         for part, word in zip(parts, ("request", "response"), strict=True)
     )
     return ServiceFile(request, response)
@@ -384,6 +418,8 @@ def _full(package: str, name: str) -> str:
     return f"{package}/{name}" if package else name
 
 
+_DEFINED: dict[str, str] = {}
+"""The texts of messages and services that modules define."""
 _KNOWN: dict[str, ActionFile] = {}
 _TEXTS: dict[str, Mapping[str, str]] = {}
 """The texts of the types that are not read yet."""
@@ -404,6 +440,16 @@ def define_action(type_name: str, texts: Mapping[str, str]) -> None:
     `geometry_msgs/msg/Pose`. They are read when the type is first used.
     """
     _TEXTS[type_name] = texts
+
+
+def define_types(texts: Mapping[str, str]) -> None:
+    """Define messages and services of ROS 2 for `dds://` and `zenoh://`, which then need no files
+    of them.
+
+    Modules that `fibaction gen` has written call it. `texts` are those of the `.msg` and `.srv`
+    files, and of the messages that they nest, by the types that they define.
+    """
+    _DEFINED.update(texts)
 
 
 def known_action(type_name: str) -> ActionFile | None:

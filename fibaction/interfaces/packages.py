@@ -53,9 +53,9 @@ def read_bytes(path: Path) -> bytes:
 
 
 def package_of(path: Path) -> str:
-    """Return the package of an action file; empty if its folders are not those of a package."""
+    """Return the package of an interface file; empty if its folders are not those of a package."""
     here = path.absolute().parent
-    if here.name != "action":
+    if here.name != (path.suffix[1:] if path.suffix in (".msg", ".srv") else "action"):
         return ""
     name = here.parent.name
     return manifest_name(here.parent) or (name if PACKAGE.fullmatch(name) else "")

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from fibaction.interfaces.definitions import FieldDefinition, FieldType
-from fibaction.interfaces.files import ActionFile, InterfaceMessage
+from fibaction.interfaces.files import ActionFile, InterfaceMessage, ServiceFile, inside_out
 from fibaction.interfaces.ros_types import PRIMITIVES, attribute
 from fibaction.interfaces.structs import docstring, is_bytes, plain_default
 
@@ -40,6 +40,39 @@ def python_source(action: ActionFile) -> str:
     return module_source([action], about)
 
 
+def types_source(types: Sequence[InterfaceMessage | ServiceFile]) -> str:
+    """Return the source of a module with a class for each message, and a constant for each service.
+
+    Raises:
+        ValueError: Two messages of different packages have one name.
+    """
+    services = [one for one in types if isinstance(one, ServiceFile)]
+    outer = [one for one in types if isinstance(one, InterfaceMessage)]
+    parts = inside_out(*outer, *(part for one in services for part in one))
+    for one in outer:
+        if one not in parts:
+            raise ValueError(
+                f"{one.type_name} has the name of another message: write each to a file of its own"
+            )
+    texts = {one.type_name: one.definition.text for one in parts if "/srv/" not in one.type_name}
+    texts |= {one.type_name: one.text for one in services}
+    listed = ", ".join(f"`{one.type_name}`" for one in types)
+    about = [f'"""The types {listed}.', "", "Written by `fibaction gen`.", '"""']
+    names = _Names(_names_in(parts))
+    made: list[str] = []
+    for service in services:
+        name = service.type_name.rpartition("/")[2]
+        constant = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).upper()
+        made += [f"{constant} = {names.use('Service', 'fibaction_transports.ros2')}("]
+        made += [f"    {_literal(service.type_name)},", f"    {service.request.class_name},"]
+        made += [f"    {service.response.class_name},", ")", ""]
+    made += [f"{names.use('define_types', 'fibaction.action_files')}(", "    {"]
+    for type_name, text in texts.items():
+        made.append(f"        {_literal(type_name)}: {_literal(_without_comments(text))},")
+    classes = _classes(parts, names, is_typed=True)
+    return "\n".join([*about, *names.imports(), *classes, "", "", *made, "    }", ")", ""])
+
+
 def module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
     """Return the source of a module with these actions, and with a class for each message of all.
 
@@ -49,16 +82,24 @@ def module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
     messages = list(found.values())
     names = _Names(_names_in(messages))
     shadowed = {name for message in messages for name in _shadowed(message)}
-    classes: list[str] = []
-    for message in messages:
-        classes += ["", "", *_class(message, names)]
-        if message.class_name in shadowed:
-            classes += ["", "", f"{message.class_name}_ = {message.class_name}"]
+    classes = _classes(messages, names)
     taken = {*found, *(f"{name}_" for name in shadowed)}
     made = [line for action in actions for line in ("", *_action(action, taken, names))]
     by_type = {action.type_name: action for action in actions if action.type_name}
     defined = [line for action in by_type.values() for line in _definition(action, names)]
     return "\n".join([*about, *names.imports(), *classes, "", *made, *defined, ""])
+
+
+def _classes(
+    messages: Sequence[InterfaceMessage], names: _Names, *, is_typed: bool = False
+) -> list[str]:
+    shadowed = {name for message in messages for name in _shadowed(message)}
+    classes: list[str] = []
+    for message in messages:
+        classes += ["", "", *_class(message, names, is_typed=is_typed)]
+        if message.class_name in shadowed:
+            classes += ["", "", f"{message.class_name}_ = {message.class_name}"]
+    return classes
 
 
 def _action(action: ActionFile, taken: set[str], names: _Names) -> Iterator[str]:
@@ -139,12 +180,15 @@ def _shadowed(message: InterfaceMessage) -> set[str]:
     return own & {nested.class_name for nested in message.nested.values()}
 
 
-def _class(message: InterfaceMessage, names: _Names) -> Iterator[str]:
+def _class(message: InterfaceMessage, names: _Names, *, is_typed: bool = False) -> Iterator[str]:
     struct = names.use("Struct", "msgspec")
     yield f"class {message.class_name}({struct}, forbid_unknown_fields=True, kw_only=True):"
     yield from _indented(_docstring(docstring(message)))
-    if message.definition.constants:
+    if message.definition.constants or is_typed:
         yield ""
+    if is_typed:
+        kind = f"{names.use('ClassVar', 'typing')}[{names.use('str')}]"
+        yield f"    __ros_type__: {kind} = {_literal(message.type_name)}"
     for constant in message.definition.constants:
         yield from _indented(f"# {line}" for line in constant.comment.splitlines())
         kind = f"{names.use('ClassVar', 'typing')}[{names.use(type(constant.value).__name__)}]"

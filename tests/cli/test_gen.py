@@ -29,6 +29,26 @@ def test_a_module_is_written_to_a_file(invoke: Invoke, tmp_path: Path, expected:
     assert file.read_text(encoding="utf-8") == expected
 
 
+def test_messages_and_services_are_written_by_name_and_by_file(
+    invoke: Invoke, tmp_path: Path
+) -> None:
+    done = invoke("gen", "geometry_msgs/msg/Twist", "std_srvs/srv/SetBool")
+    assert (done.exit_code, done.output) == (0, (FILES / "drive_types.py").read_text("utf-8"))
+    file = tmp_path / "my_msgs/srv/Ask.srv"
+    file.parent.mkdir(parents=True)
+    file.write_text("geometry_msgs/Point at\n---\n")
+    done = invoke("gen", str(file))
+    assert 'ASK = Service(\n    "my_msgs/srv/Ask",' in done.output
+    for arguments, error in (
+        ([str(file), "--ts"], "--ts, --name and --type are for .action files"),
+        (["my_msgs/msg/No"], "No"),
+        (["Missing.msg"], "Missing.msg: No such file or directory"),
+    ):
+        done = invoke("gen", *arguments)
+        assert done.exit_code == 2
+        assert error in done.output
+
+
 def test_the_name_the_type_and_the_search_path_can_be_given(invoke: Invoke) -> None:
     done = invoke("gen", COUNT, "-n", "arm/tally", "-t", "a/action/Count", "-s", str(FILES))
 

@@ -7,7 +7,16 @@ from pathlib import Path
 import pytest
 
 from fibaction.action_files import InterfaceError, load_action
-from fibaction.interfaces.files import define_action, known_action
+from fibaction.interfaces.files import (
+    define_action,
+    define_types,
+    known_action,
+    read_interface,
+    read_message,
+    read_service,
+)
+from fibaction.interfaces.packages import SearchPath
+from fibaction.interfaces.source import types_source
 
 
 def write(path: Path, field: str) -> Path:
@@ -52,3 +61,38 @@ def test_texts_that_do_not_define_a_type_are_an_error_whenever_it_is_used() -> N
     for _ in range(2):
         with pytest.raises(InterfaceError, match=r"broken_msgs/action/Go\.action:1: expected"):
             known_action("broken_msgs/action/Go")
+
+
+NOWHERE = SearchPath((), ())
+
+
+def test_messages_and_services_that_were_defined_need_no_files() -> None:
+    define_types(
+        {
+            "told_msgs/msg/Part": "int32 z\n",
+            "told_msgs/msg/Whole": "Part part\n",
+            "told_msgs/srv/Ask": "Part part\n---\nWhole whole\n",
+        }
+    )
+    whole = read_message("told_msgs/msg/Whole", NOWHERE)
+    assert whole.nested["part"].definition.fields[0].name == "z"
+    ask = read_service("told_msgs/srv/Ask", NOWHERE)
+    assert (ask.type_name, ask.response.nested["whole"].type_name) == (
+        "told_msgs/srv/Ask",
+        "told_msgs/msg/Whole",
+    )
+
+
+def test_types_of_one_name_are_not_written_to_one_module(tmp_path: Path) -> None:
+    files = []
+    for package in ("one_msgs", "two_msgs"):
+        file = tmp_path / package / "msg/Part.msg"
+        file.parent.mkdir(parents=True)
+        file.write_text("int32 z\n")
+        files.append(read_interface(file, []))
+    with pytest.raises(ValueError, match="two_msgs/msg/Part has the name of another message"):
+        types_source(files)
+    lost = tmp_path / "Part.msg"
+    lost.write_text("int32 z\n")
+    with pytest.raises(InterfaceError, match=r"expected a file such as my_msgs/msg/Name"):
+        read_interface(lost, [])

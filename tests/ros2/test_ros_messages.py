@@ -145,7 +145,7 @@ async def test_a_type_with_other_fields_is_an_error_that_names_them() -> None:
 async def test_the_package_of_ros_has_its_transports_and_its_nodes_alone() -> None:
     transports = {"DdsTransport", "Ros2Transport", "ZenohTransport"}
     ends = {"Publisher", "Subscription", "OwnParameters", "RemoteParameters"}
-    nodes = {"Node", *ends, "EndQos", "Transform", "open_node", "topic_values"}
+    nodes = {"Node", *ends, "EndQos", "Service", "Transform", "open_node", "topic_values"}
     assert transports | nodes == set(ros2.__all__)
     assert all(hasattr(ros2, name) for name in ros2.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'RclpyTransport'"):

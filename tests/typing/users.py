@@ -27,6 +27,13 @@ from fibaction import (
     serve,
 )
 from fibaction.testing import ScriptedServer, Trial, run_executor
+from fibaction_transports.ros2 import Node, Publisher
+from tests.action_files.drive_types import (
+    SET_BOOL,
+    SetBool_Request,
+    SetBool_Response,
+    Twist,
+)
 
 
 class Goal(msgspec.Struct):
@@ -190,3 +197,28 @@ async def tests() -> None:
     async with ScriptedServer(FIBONACCI, [Feedback([1]), Result([2])]) as scripted:
         assert_type(scripted, ScriptedServer[Goal, Feedback, Result])
         assert_type(scripted.received, list[Goal])
+
+
+async def topics_and_services_have_the_types_of_generated_classes(node: Node) -> None:
+    async for twist in node.subscribe("cmd_vel", Twist):
+        assert_type(twist.linear.x, float)
+    publisher = node.publisher("cmd_vel", Twist)
+    assert_type(publisher, Publisher[Twist])
+    await publisher.publish(Twist())
+    await publisher.publish({"linear": {"x": 0.2}})
+    await publisher.publish(SetBool_Request())  # type: ignore[arg-type]
+    answer = await node.call("lamp", SET_BOOL, SetBool_Request(data=True), timeout=1)
+    assert_type(answer, SetBool_Response)
+    await node.call("lamp", SET_BOOL, SetBool_Response())  # type: ignore[misc]
+    assert_type(await node.call("lamp", "std_srvs/srv/SetBool", {"data": True}), Any)
+
+    async def lamp(request: SetBool_Request) -> SetBool_Response:
+        return SetBool_Response(success=request.data)
+
+    with (
+        node.serve_service("lamp", SET_BOOL, lamp),
+        node.serve_service("other", SET_BOOL, lambda request: {"success": request.data}),
+    ):
+        pass
+    speed = node.parameters().declare("speed", 0.5)
+    assert_type(speed, float)

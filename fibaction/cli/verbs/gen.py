@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,10 +19,22 @@ from fibaction.cli.arguments.import_target import import_servers
 from fibaction.cli.arguments.options import reject_inproc, url_of
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
+from fibaction.interfaces.files import (
+    InterfaceMessage,
+    ServiceFile,
+    read_interface,
+    read_message,
+    read_service,
+)
+from fibaction.interfaces.packages import SearchPath, ros_folders
 from fibaction.interfaces.robot_source import RobotSource
+from fibaction.interfaces.source import types_source
 from fibaction.schema.typescript import typescript_source
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError
+
+_MESSAGE_TYPE = re.compile(r"\w+/(msg|srv)/\w+", re.ASCII)
+_SEARCH = "FIBACTION_SEARCH"
 
 
 def _url(context: click.Context, _: click.Parameter, value: str | None) -> str:
@@ -32,13 +46,14 @@ def _url(context: click.Context, _: click.Parameter, value: str | None) -> str:
     epilog="""\b
 Examples:
   fibaction gen Fibonacci.action > fibonacci_types.py
+  fibaction gen geometry_msgs/msg/Twist std_srvs/srv/Trigger -o robot_types.py
   fibaction gen NavigateToPose.action --search ~/ros2_ws/src -o navigate_types.py
   fibaction -u ros2:// gen --from-robot > robot.py
   fibaction -u dds:// gen --from-robot /arm/pick /arm/place -o arm.py
   fibaction gen --ts http://127.0.0.1:8080 -o robot_types.ts
   fibaction gen --ts robot:server -o robot_types.ts""",
 )
-@click.argument("sources", metavar="[FILE | ACTION...]", nargs=-1)
+@click.argument("sources", metavar="[FILE... | ACTION...]", nargs=-1)
 @click.option(
     "--from-robot",
     is_flag=True,
@@ -91,6 +106,9 @@ def gen_command(
 ) -> None:
     """Write the types of an .action FILE as a Python module, or as TypeScript with --ts.
 
+    FILE may also be .msg and .srv files, and names such as geometry_msgs/msg/Twist: a node takes
+    the classes and the services of the module in place of names.
+
     The Python module has a class for each message, which type checkers understand, and the action
     in capitals. Its lines may be long: run your formatter over it. The TypeScript module has the
     types for the JavaScript client, of all actions of a server if FILE names one.
@@ -111,6 +129,10 @@ def gen_command(
             )
         reject_inproc(url)
         run(write_types_of_robot, url, sources, output)
+    if sources and all(map(_is_message_type, sources)):
+        if is_typescript or name or type_name:
+            raise Failure("--ts, --name and --type are for .action files")
+        return _write_message_types(sources, search, output)
     if len(sources) != 1:
         raise click.UsageError("give one FILE, or --from-robot")
     (source,) = sources
@@ -133,6 +155,32 @@ def _write_types_of_file(
             text = _imported(action_source(file, **given))
     except OSError as exc:
         raise Failure(f"{exc.filename or file}: {exc.strerror}") from exc
+    except ValueError as exc:
+        raise Failure(str(exc)) from exc
+    write(text, output)
+
+
+def _is_message_type(source: str) -> bool:
+    return Path(source).suffix in (".msg", ".srv") or bool(_MESSAGE_TYPE.fullmatch(source))
+
+
+def _write_message_types(
+    sources: Sequence[str], search: Sequence[Path], output: Path | None
+) -> None:
+    folders = [*search, *map(Path, filter(None, os.environ.get(_SEARCH, "").split(os.pathsep)))]
+    path = SearchPath((), folders, ros_folders())
+    found: list[InterfaceMessage | ServiceFile] = []
+    try:
+        for source in sources:
+            if not _MESSAGE_TYPE.fullmatch(source):
+                found.append(read_interface(Path(source), folders))
+            elif "/msg/" in source:
+                found.append(read_message(source, path))
+            else:
+                found.append(read_service(source, path))
+        text = _imported(types_source(found))
+    except OSError as exc:
+        raise Failure(f"{exc.filename}: {exc.strerror}") from exc
     except ValueError as exc:
         raise Failure(str(exc)) from exc
     write(text, output)

@@ -137,20 +137,23 @@ def get_parameter(
     run_at(url, act)
 
 
-_KINDS: Final[dict[type, str]] = {
-    bool: "Boolean",
-    int: "Integer",
-    float: "Double",
-    str: "String",
-    bytes: "Byte",
+_KINDS: Final = {
+    "bool": "Boolean",
+    "int": "Integer",
+    "float": "Double",
+    "str": "String",
+    "bytes": "Byte",
 }
 """The words of `ros2 param get`."""
 
 
-def _words(value: object) -> str:
-    first = next(iter(value), None) if is_list(value) else value
+def _words(value: Any) -> str:
     end = "values are" if is_list(value) or isinstance(value, bytes) else "value is"
-    return f"{_KINDS.get(type(first), 'Empty')} {end}"
+    return f"{_KINDS.get(_first(value).__class__.__name__, 'Empty')} {end}"
+
+
+def _first(value: Any) -> Any:
+    return next(iter(value), None) if is_list(value) else value
 
 
 @param_command.command("dump")

@@ -23,8 +23,9 @@ from fibaction import (
     serve,
 )
 from fibaction.border.event_loop import Background
-from fibaction.interfaces.files import read_message
+from fibaction.interfaces.files import read_interface, read_message
 from fibaction.interfaces.packages import SearchPath
+from fibaction.interfaces.source import types_source
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, open_node
 from fibaction_transports.ros2.messaging import node as messaging_node
@@ -734,6 +735,40 @@ async def test_a_type_without_a_file_is_learned_from_its_publisher(
             await publisher.wait_for_reader(PATIENCE)
             await publisher.publish({})
             assert type(await heard.next()).__name__ == "Part"
+
+
+async def test_generated_messages_and_services_need_no_files(scheme: str, tmp_path: Path) -> None:
+    for name, text in (
+        ("msg/Probe.msg", "string PART=arm\nfloat64 depth\nPart part\n"),
+        ("msg/Part.msg", "string name\n"),
+        ("srv/AskDepth.srv", "Part part\n---\nProbe[] probes\n"),
+    ):
+        (tmp_path / "probe_msgs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "probe_msgs" / name).write_text(text)
+    types = [
+        read_interface(tmp_path / "probe_msgs" / one, [])
+        for one in ("msg/Probe.msg", "srv/AskDepth.srv")
+    ]
+    made: dict[str, Any] = {"__name__": "probe_types"}
+    exec(compile(types_source(types), "probe", "exec", dont_inherit=True), made)
+    probe, part, service = made["Probe"], made["Part"], made["ASK_DEPTH"]
+
+    def ask(request: Any) -> Any:
+        assert type(request) is made["AskDepth_Request"]
+        return made["AskDepth_Response"](probes=[probe(depth=2.0, part=request.part)])
+
+    async with two_nodes(scheme) as (robot, planner):
+        heard = planner.subscribe("probe", probe)
+        publisher = robot.publisher("probe", probe)
+        await publisher.wait_for_reader(PATIENCE)
+        await publisher.publish(probe(depth=1.5, part=part(name=probe.PART)))
+        assert await heard.next(PATIENCE) == probe(depth=1.5, part=part(name="arm"))
+        with robot.serve_service("ask", service, ask):
+            request = made["AskDepth_Request"](part=part(name="leg"))
+            answer = await planner.call("ask", service, request, timeout=PATIENCE)
+            assert answer.probes == [probe(depth=2.0, part=part(name="leg"))]
+            plain = await planner.call("ask", "probe_msgs/srv/AskDepth", timeout=PATIENCE)
+            assert plain.probes[0].depth == 2.0
 
 
 async def test_the_node_serves_and_calls_actions_and_leaves_them_with_their_blocks(

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from fibaction_transports.ros2.messaging.node import Node, open_node, topic_values
     from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
     from fibaction_transports.ros2.messaging.publisher import Publisher
+    from fibaction_transports.ros2.messaging.services import Service
     from fibaction_transports.ros2.messaging.subscription import Subscription
     from fibaction_transports.ros2.messaging.transform_buffer import Transform
     from fibaction_transports.ros2.qos import EndQos
@@ -24,6 +25,7 @@ __all__ = [
     "Publisher",
     "RemoteParameters",
     "Ros2Transport",
+    "Service",
     "Subscription",
     "Transform",
     "ZenohTransport",
@@ -38,6 +40,7 @@ _MODULES = {
     "OwnParameters": "messaging.parameters",
     "Publisher": "messaging.publisher",
     "RemoteParameters": "messaging.parameters",
+    "Service": "messaging.services",
     "Subscription": "messaging.subscription",
     "Transform": "messaging.transform_buffer",
     "open_node": "messaging.node",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Generator
-from contextlib import aclosing, asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Generator
+from contextlib import AbstractContextManager, aclosing, asynccontextmanager, contextmanager
 from inspect import isawaitable
 from typing import Any, Final, TypeVar, overload
 
@@ -20,7 +20,14 @@ from fibaction_transports.ros2.client.endpoint import GraphLooks
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
 from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import Publisher
-from fibaction_transports.ros2.messaging.services import CalledService, ServiceFunction
+from fibaction_transports.ros2.messaging.services import (
+    CalledService,
+    RequestT,
+    ResponseT,
+    Service,
+    ServiceFunction,
+    forms_of,
+)
 from fibaction_transports.ros2.messaging.shared import PartsOfBlock
 from fibaction_transports.ros2.messaging.subscription import Subscription
 from fibaction_transports.ros2.messaging.transform_buffer import Transform
@@ -53,7 +60,7 @@ class Node(RosTransport):
         self._transforms: TransformReader | None = None
         self._looks = GraphLooks(ros, settings.discovery_timeout)
         self._newest: dict[tuple[str, ...], Subscription[Any]] = {}
-        self._callers: dict[tuple[str, str], CalledService] = {}
+        self._callers: dict[tuple[str, str | Service[Any, Any]], CalledService] = {}
         self._tasks = tasks
 
     @property
@@ -234,12 +241,32 @@ class Node(RosTransport):
         """
         return self._ros.resolve(name)
 
+    @overload
+    async def call(
+        self,
+        service: str,
+        type_: Service[RequestT, ResponseT],
+        request: RequestT | dict[str, Any] | None = None,
+        *,
+        timeout: float | None = None,
+    ) -> ResponseT: ...
+    @overload
     async def call(
         self, service: str, type_: str, request: Any = None, *, timeout: float | None = None
+    ) -> Any: ...
+    async def call(
+        self,
+        service: str,
+        type_: str | Service[Any, Any],
+        request: Any = None,
+        *,
+        timeout: float | None = None,
     ) -> Any:
         """Wait for a server of a service, send a request once, and return the answer.
 
-        `request` is a message, or a dict with its fields; without it, all have their defaults.
+        `type_` is the name of the type, or a service that `fibaction gen` has written, for typed
+        messages. `request` is a message, or a dict with its fields; without it, all have their
+        defaults.
 
         Raises:
             TransportError: The type is not known here, or ROS does not allow the name.
@@ -249,20 +276,32 @@ class Node(RosTransport):
         """
         return await self._caller(self._ros.resolve(service), type_).call(request, timeout)
 
-    def _caller(self, name: str, type_: str) -> CalledService:
+    def _caller(self, name: str, type_: str | Service[Any, Any]) -> CalledService:
         caller = self._callers.pop((name, type_), None)
         if caller is None:
             self._ros.raise_if_lost()
             for key in [key for key, one in self._callers.items() if one.is_idle]:
                 if len(self._callers) >= MOST_CALLERS:
                     self._callers.pop(key).close()
-            caller = CalledService(self._ros, name, self._ros.types.called_type(type_))
+            called = self._ros.types.called_type(_service_type(type_))
+            caller = CalledService(self._ros, name, type_, called)
         self._callers[name, type_] = caller  # the last one, which gives way last
         return caller
 
-    @contextmanager
+    @overload
+    def serve_service(
+        self,
+        service: str,
+        type_: Service[RequestT, ResponseT],
+        answer: Callable[[RequestT], Awaitable[ResponseT] | ResponseT | dict[str, Any] | None],
+    ) -> AbstractContextManager[None]: ...
+    @overload
     def serve_service(
         self, service: str, type_: str, answer: ServiceFunction
+    ) -> AbstractContextManager[None]: ...
+    @contextmanager
+    def serve_service(
+        self, service: str, type_: str | Service[Any, Any], answer: ServiceFunction
     ) -> Generator[None, None, None]:
         """Serve a service while the block is open.
 
@@ -274,14 +313,14 @@ class Node(RosTransport):
             TransportError: The type is not known here, or ROS does not allow the name.
         """
         self._ros.raise_if_lost()
-        called = self._ros.types.called_type(type_)
-        form = MessageForm(called.response, called.response.text)
+        called = self._ros.types.called_type(_service_type(type_))
+        requests, responses = forms_of(type_, called)
 
         async def answered(request: Any) -> Any:
-            response = answer(request)
+            response = answer(requests.from_ros(request))
             if isawaitable(response):
                 response = await response
-            return form.to_ros({} if response is None else response)
+            return responses.to_ros({} if response is None else response)
 
         name = self._ros.resolve(service)
         servers = ServiceServers(self._ros, name, qos.services(), self._tasks, Notifier())
@@ -291,6 +330,10 @@ class Node(RosTransport):
         finally:
             servers.close()
             self._ros.remove(part)
+
+
+def _service_type(given: str | Service[Any, Any]) -> str:
+    return given if isinstance(given, str) else given.type_name
 
 
 class _OpenNode(RosAdapter):

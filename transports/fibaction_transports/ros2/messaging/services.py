@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 import anyio
 
@@ -22,8 +22,20 @@ AT_ONCE: Final = 8
 """Requests of one client that may wait for their answers: the queues of rclpy and rclcpp hold 10.
 """
 
+RequestT = TypeVar("RequestT")
+ResponseT = TypeVar("ResponseT")
 ServiceFunction: TypeAlias = Callable[[Any], Any | Awaitable[Any]]
 """A function that takes a request and returns the answer, or a dict with its fields."""
+
+
+class Service(Generic[RequestT, ResponseT]):
+    """A service with the classes of its messages, as `fibaction gen` writes it."""
+
+    def __init__(self, type_name: str, request: type[RequestT], response: type[ResponseT]) -> None:
+        self.type_name = type_name
+        """The ROS 2 type, for example `std_srvs/srv/Trigger`."""
+        self.request = request
+        self.response = response
 
 
 class _Answer(NamedTuple):
@@ -36,10 +48,12 @@ class _Answer(NamedTuple):
 class CalledService:
     """A client of one service."""
 
-    def __init__(self, ros: RosNode, service: str, called: CalledType) -> None:
+    def __init__(
+        self, ros: RosNode, service: str, type_: str | Service[Any, Any], called: CalledType
+    ) -> None:
         self._ros = ros
         self._service = service
-        self._request = MessageForm(called.request, called.request.text)
+        self._request, self._response = forms_of(type_, called)
         self._news = Notifier()
         self._turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
         self._is_new = not ros.confirms_callers
@@ -49,7 +63,9 @@ class CalledService:
             service,
             called.service,
             qos.services(),
-            lambda number, response: self._settle(number, _Answer(response)),
+            lambda number, response: self._settle(
+                number, _Answer(self._response.from_ros(response))
+            ),
             self._fail_all,
             lambda number: self._settle(number, _Answer(None, _unanswered(service))),
         )
@@ -129,6 +145,19 @@ class CalledService:
         if answer.error is not None:
             raise ConnectionLost(f"{self._service}: {answer.error}") from answer.error
         return answer.response
+
+
+def forms_of(type_: str | Service[Any, Any], called: CalledType) -> tuple[MessageForm, MessageForm]:
+    """Return the forms of the requests and of the answers of a service.
+
+    Raises:
+        TypeError: A class does not have the fields of the type.
+    """
+    if isinstance(type_, str):
+        given: tuple[Any, Any] = called.request.text, called.response.text
+    else:
+        given = type_.request, type_.response
+    return MessageForm(called.request, given[0]), MessageForm(called.response, given[1])
 
 
 def _unanswered(service: str) -> Exception:
