@@ -70,6 +70,17 @@ def numbered(call_id: int, *numbers: int) -> list[Feedback]:
 # At the client: another attempt
 
 
+async def test_a_goal_shares_the_keys_of_its_attributes_and_has_no_queue_until_it_needs_one() -> (
+    None
+):
+    """Each of the two would be a tenth of the memory of an active goal over TCP."""
+    first, second = (
+        RemoteGoal(GOAL_ID, send(1, credit=WINDOW), WINDOW, lambda _: None) for _ in range(2)
+    )
+    assert len(vars(first)) <= 30
+    assert first._items is second._items
+
+
 async def test_attempts_without_feedback_are_not_remembered() -> None:
     goal = RemoteGoal(GOAL_ID, send(1, credit=WINDOW), WINDOW, lambda _: None)
     for attempt in range(1, 100):

@@ -33,6 +33,7 @@ room for the next.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from time import time_ns
 from typing import Any, TypeAlias
@@ -43,7 +44,7 @@ from msgspec.structs import astuple, replace
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
-from fibaction.wire.client.unread_feedback import UnreadFeedback
+from fibaction.wire.client.unread_feedback import NOTHING, UnreadFeedback
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
     LONGEST_TIMEOUT,
@@ -315,6 +316,8 @@ class RemoteGoal(Call, UnreadFeedback):
             self._credit.grant(count)
             first, payloads, times = self._last, payloads[-1:], times[-1:]
         attempt, numbers = self._newest, range(first, self._last + 1)
+        if self._items is NOTHING:
+            self._items = deque()
         self._items += [
             FeedbackItem(number, payload, attempt, at)
             for number, payload, at in zip(numbers, payloads, times, strict=True)
