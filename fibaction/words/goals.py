@@ -184,6 +184,8 @@ class WorkerInfo(msgspec.Struct, frozen=True):
     unreadable: dict[str, int] = {}
     """The number of goals that no worker has and that this one cannot read, by the names of their
     actions, as it has last counted; without the actions that have none."""
+    version: str = ""
+    """Its version of fibaction; empty if it does not tell it."""
 
 
 UNKNOWN_SENDER = Sender()

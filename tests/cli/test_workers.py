@@ -16,7 +16,7 @@ from tests.cli.conftest import Invoke
 
 NOW = 1_800_000_000
 WORKERS = [
-    WorkerInfo("arm-1", ("pick", "/place"), (NOW - 90) * 10**9, 3, has_room=False),
+    WorkerInfo("arm-1", ("pick", "/place"), (NOW - 90) * 10**9, 3, has_room=False, version="1.2.0"),
     WorkerInfo("idle \x1b[2J", (), (NOW - 5) * 10**9),
 ]
 
@@ -62,7 +62,7 @@ async def test_workers_as_json_are_one_value_a_line(
     await list_workers("nats://broker/robots?token=secret", as_json=True)
     assert capsys.readouterr().out == (
         '{"name":"arm-1","actions":["pick","/place"],"since":1799999910000000000,"goals":3,'
-        '"has_room":false,"unreadable":{}}\n'
+        '"has_room":false,"unreadable":{},"version":"1.2.0"}\n'
     )
 
 

@@ -72,6 +72,8 @@ class LeaseEntry(msgspec.Struct, array_like=True):
     has_room: bool = False
     """True if it answered questions for at least one action when this was written."""
     cleared_by: str = ""
+    version: str = ""
+    """The version of fibaction; empty if it is earlier than this field."""
 
 
 class RoomQuestion(msgspec.Struct, array_like=True, frozen=True):

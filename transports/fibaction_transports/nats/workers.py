@@ -155,6 +155,7 @@ class FleetWorkers:
                 lease.goals,
                 lease.has_room,
                 {one.info.name: one.unreadable for one in lease.actions if one.unreadable},
+                lease.version,
             )
             for lease in self.living()
         ]

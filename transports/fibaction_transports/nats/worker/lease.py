@@ -34,6 +34,7 @@ from threading import Lock
 
 from anyio import current_time, move_on_after, sleep
 
+from fibaction import __version__
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ProtocolError, TransportError
@@ -257,7 +258,7 @@ class Membership:
             raise TransportError(f"cannot join the fleet: {stored.text}")
 
     def _entry(self, incarnation: bytes) -> LeaseEntry:
-        entry = LeaseEntry(self.worker, incarnation, self.since, self.lease)
+        entry = LeaseEntry(self.worker, incarnation, self.since, self.lease, version=__version__)
         for part in self._parts:
             part.describe(entry)
         return entry

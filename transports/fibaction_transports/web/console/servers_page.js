@@ -30,7 +30,7 @@ export class ServersPage {
     this.store = store;
     this.rows = new Map();
     const [table, body] = tableOf("Servers", ["Server", "State", "Address", "Goals", "Actions"]);
-    const [fleet, workers] = tableOf("Workers", ["Worker", "Room", "Server", "Goals", "Joined", "Actions"]);
+    const [fleet, workers] = tableOf("Workers", ["Worker", "Room", "Server", "Goals", "Joined", "Version", "Actions"]);
     Object.assign(this, { body, workers });
     this.fleet = h("section", { class: "card", "aria-label": "Workers" }, h("h2", {}, "Workers"), fleet);
     const servers = h("section", { class: "card", "aria-label": "Servers" }, table);
@@ -60,10 +60,10 @@ export class ServersPage {
     return row.element;
   }
 
-  workerRow(server, { name, actions, since, goals, has_room: hasRoom }) {
-    const row = this.row(`${server.name}/${name}`, name, "", 4);
+  workerRow(server, { name, actions, since, goals, has_room: hasRoom, version }) {
+    const row = this.row(`${server.name}/${name}`, name, "", 5);
     const joined = `${durationOf((Date.now() - since / 1e6) / 1000)} ago`;
-    row.update(hasRoom ? "has room" : "full", hasRoom ? "succeeded" : "accepted", server.name || server.url, counted(goals, "goal"), joined, [...actions].sort().join(", "));
+    row.update(hasRoom ? "has room" : "full", hasRoom ? "succeeded" : "accepted", server.name || server.url, counted(goals, "goal"), joined, version, [...actions].sort().join(", "));
     return row.element;
   }
 
