@@ -95,6 +95,14 @@ class ArchiveProcess(RobotProcess):
         return ["tests.browser.archive", self.url, str(self._file)]
 
 
+class WorkerProcess(RobotProcess):
+    """A process that serves the robot as a worker of a fleet."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__()
+        self.url = url
+
+
 class RosRobotProcess(RobotProcess):
     """A process of a robot with topics over DDS."""
 
