@@ -15,7 +15,15 @@ import pytest
 import zenoh
 from anyio import to_thread
 
-from fibaction import ActionServer, ConnectionLost, ProtocolError, TransportError, connect, serve
+from fibaction import (
+    ActionServer,
+    ConnectionLost,
+    ProtocolError,
+    ServerNotFound,
+    TransportError,
+    connect,
+    serve,
+)
 from fibaction_transports.ros2.node import mailbox
 from fibaction_transports.ros2.on_zenoh import services, session
 from fibaction_transports.ros2.on_zenoh.keys import SERVER, attachment, hash_of, key_of
@@ -84,6 +92,18 @@ async def test_a_session_is_left_if_its_opening_in_a_thread_is_cut_short(
     if is_late:
         await to_thread.run_sync(calls[0])
     assert not session._OPEN
+
+
+async def test_nodes_that_tell_no_hashes_as_those_of_humble_are_reached_by_a_setting() -> None:
+    humble = f"zenoh://?namespace=/t{uuid.uuid4().hex}&type_hashes=false"
+    with anyio.fail_after(PATIENCE):
+        async with serve(ActionServer(FIBONACCI, fibonacci), humble) as (url,):
+            async with connect(url, FIBONACCI) as client:
+                assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+            usual = url.replace("&type_hashes=false", "&discovery_timeout=0.5")
+            async with connect(usual, FIBONACCI) as client:
+                with pytest.raises(ServerNotFound, match=r"Humble: append \?type_hashes=false"):
+                    await client.call(Goal(1))
 
 
 def ended(handler: Callable[[], object]) -> zenoh.handlers.Callback[zenoh.Reply]:

@@ -230,18 +230,6 @@ async def test_other_versions_of_the_types_are_told_before_the_first_goal(tmp_pa
                 await client.call(Goal(1))
 
 
-async def test_nodes_that_tell_no_hashes_as_those_of_humble_are_reached_by_a_setting() -> None:
-    humble = f"{new_url()}&type_hashes=false"
-    with anyio.fail_after(PATIENCE):
-        async with serve(ActionServer(FIBONACCI, fibonacci), humble) as (url,):
-            async with connect(url, FIBONACCI) as client:
-                assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-            usual = url.replace("&type_hashes=false", "&discovery_timeout=0.5")
-            async with connect(usual, FIBONACCI) as client:
-                with pytest.raises(ServerNotFound, match=r"Humble: append \?type_hashes=false"):
-                    await client.call(Goal(1))
-
-
 async def test_types_that_no_file_has_are_learned_from_the_server(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
