@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
 import subprocess
 from collections.abc import Callable
 from functools import partial
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli.verbs import echo as echo_module
-from fibaction.cli.verbs.echo import EchoPrinter, EventPrinter, echo
+from fibaction.cli.verbs.echo import CsvPrinter, EchoPrinter, EventPrinter, echo
 from fibaction.client.events import GoalFeedback
 from tests.cli.conftest import Open, Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
@@ -81,9 +83,9 @@ async def test_each_change_is_printed() -> None:
     server, url = counter("one"), "inproc://echo"
     async with serve(server, url), connect(url, server.action) as client:
         await client.send_goal(1, goal_id=ID)
-        words = await echoed(partial(echo, url, "one", full=False, as_json=False), "EXECUTING")
+        words = await echoed(partial(echo, url, "one", EchoPrinter(False, full=False)), "EXECUTING")
         await client.send_goal(1, goal_id=OTHER)
-        await echoed(partial(echo, url, "one", full=True, as_json=True), "EXECUTING")
+        await echoed(partial(echo, url, "one", EchoPrinter(True, full=True)), "EXECUTING")
 
     assert words == [f"Goal {ID}: EXECUTING\n"]
 
@@ -152,3 +154,37 @@ def test_echo_cuts_what_is_long_unless_all_is_wanted() -> None:
         "feedback": list(range(1000)),
     }
     assert json.loads(said[3])["event"] == "status"
+
+
+def test_csv_has_a_row_for_each_feedback_with_its_time_and_its_fields() -> None:
+    said = Heard()
+    fields = {"name": {"type": "string"}, "=x": {"type": "number"}, "gone": {"type": "string"}}
+    described = ActionInfo("one", "", {}, {"type": "object", "properties": fields}, {})
+    plain = ActionInfo("one", "", {}, {"type": "integer"}, {})
+    at = 1_700_000_000_123_456_789
+    with said.on_stdout():
+        printer = CsvPrinter()
+        for _ in range(2):  # its server has started again
+            printer.on_action_found(described, client=cast("Any", None))
+        printer.on_event("one", GoalInfo(ID, 1, GoalStatus.ACCEPTED))
+        feedback = {"name": "-a\n", "=x": [1, 2.5], "gone": None}
+        printer.on_event("one", GoalFeedback(ID, 3, feedback, 2, at))
+        printer.on_event("one", GoalFeedback(ID, 4, "odd", 2, at))
+        printer = CsvPrinter()
+        printer.on_action_found(plain, client=cast("Any", None))
+        printer.on_event("one", GoalFeedback(ID, 1, 7, 1, at))
+
+    when = "2023-11-14T22:13:20.123456Z"
+    assert list(csv.reader(said)) == [
+        ["time", "goal_id", "attempt", "number", "name", "'=x", "gone"],
+        [when, str(ID), "2", "3", "'-a\\x0a", "[1,2.5]", ""],
+        [when, str(ID), "2", "4", "", "", ""],
+        ["time", "goal_id", "attempt", "number", "feedback"],
+        [when, str(ID), "1", "1", "7"],
+    ]
+
+
+def test_csv_and_json_cannot_be_combined(here: Run, tcp: str) -> None:
+    code, _, err = here("echo", "wait", "--csv", "--json", url=tcp)
+    assert code != 0
+    assert "--json and --csv cannot be combined" in err

@@ -195,24 +195,24 @@ def csv_cells(row: GoalRow) -> list[str]:
     parent, step = (str(info.parent.goal_id), info.parent.step) if info.parent else ("", "")
     reason, result = (info.reason, None) if outcome is None else (outcome.reason, outcome.result)
     return [
-        _csv_text(row.action),
+        csv_text(row.action),
         row.goal_id,
         info.status.name,
-        *map(_iso, (info.stamp, info.began_at, info.ended_at)),
+        *map(iso_time, (info.stamp, info.began_at, info.ended_at)),
         *map(_seconds, (info.waited, info.ran)),
         str(info.attempt),
         str(info.feedback_count),
-        _csv_text(info.client),
+        csv_text(info.client),
         parent,
-        _csv_text(step),
-        _csv_text(reason),
+        csv_text(step),
+        csv_text(reason),
         "" if result is None else as_json(result),
         as_json(info.labels) if info.labels else "",
-        _csv_text(info.worker),
+        csv_text(info.worker),
     ]
 
 
-def _iso(time_ns: int | None) -> str:
+def iso_time(time_ns: int | None) -> str:
     """Return a time as text; empty if there is none."""
     if time_ns is None:
         return ""
@@ -224,7 +224,7 @@ def _seconds(span: float | None) -> str:
     return "" if span is None else f"{span:.6f}"
 
 
-def _csv_text(text: str) -> str:
+def csv_text(text: str) -> str:
     """Return text of others for a cell, on one line. An apostrophe before it keeps a spreadsheet
     from taking it for a formula.
     """

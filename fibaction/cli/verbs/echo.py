@@ -14,17 +14,19 @@ from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.output.goal_table import GoalRow
-from fibaction.cli.output.lines import note, on_terminal, say, say_json
+from fibaction.cli.output.goal_table import GoalRow, csv_text, iso_time
+from fibaction.cli.output.lines import as_json as json_of
+from fibaction.cli.output.lines import note, on_terminal, say, say_csv, say_json
 from fibaction.cli.output.render import INDENT
 from fibaction.cli.output.yaml_text import as_yaml
-from fibaction.cli.process.exit_codes import ExitCode, message_of, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.logs import log_connection
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import ActionListener, AnyClient, follow_action, follow_actions
 from fibaction.types.action import Action, ActionInfo
 from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.plain_data import is_map
 from fibaction.words.progress import ProgressMeter
 from fibaction.words.statuses import GoalStatus
 
@@ -39,18 +41,23 @@ REMEMBERED = 10_000
 @namespace_option
 @full_option
 @json_option
+@click.option("--csv", "as_csv", is_flag=True, help="Print the feedback as CSV with a heading.")
 @url_option
-def echo_command(name: str, namespace: Namespace, full: bool, as_json: bool, url: str) -> None:
+def echo_command(
+    name: str, namespace: Namespace, full: bool, as_json: bool, as_csv: bool, url: str
+) -> None:
     """Print the feedback of all goals of the action NAME, and every change of their statuses, until
     Ctrl-C. The statuses of the goals that the server knows come first.
     """
-    run(echo, url, namespace.absolute(name), full=full, as_json=as_json)
+    if as_json and as_csv:
+        raise Failure("--json and --csv cannot be combined")
+    printer = CsvPrinter() if as_csv else EchoPrinter(as_json, full=full)
+    run(echo, url, namespace.absolute(name), printer)
 
 
-async def echo(url: str, name: str, *, full: bool, as_json: bool) -> int:
+async def echo(url: str, name: str, printer: EventPrinter) -> int:
     """Print all events of an action, until Ctrl-C."""
     async with connect(url) as connection:
-        printer = EchoPrinter(as_json, full=full)
         await until_interrupted(partial(print_events, connection, name, printer, feedback=True))
     return ExitCode.SUCCEEDED
 
@@ -163,6 +170,41 @@ class EchoPrinter(EventPrinter):
         if len(self._meters) > REMEMBERED:
             del self._meters[next(iter(self._meters))]
         return meter
+
+
+class CsvPrinter(EventPrinter):
+    """Prints each feedback as a row, with its time and a column for each field; no statuses."""
+
+    def __init__(self) -> None:
+        super().__init__(as_json=False)
+        self._fields: tuple[str, ...] | None = None
+
+    def on_action_found(self, info: ActionInfo, client: AnyClient) -> None:
+        super().on_action_found(info, client)
+        if self._fields is None:
+            from fibaction.schema.template import Template  # its imports would slow down --help
+
+            self._fields = tuple(Template(info.feedback).fields)
+            names = map(csv_text, self._fields or ("feedback",))
+            say_csv([("time", "goal_id", "attempt", "number", *names)])
+
+    def print_status(self, row: GoalRow) -> None:
+        pass  # a row of CSV has one form
+
+    def print_feedback(self, event: GoalFeedback[Any]) -> None:
+        facts = (iso_time(event.at), str(event.goal_id), str(event.attempt), str(event.number))
+        value = event.feedback
+        values = [value]
+        if self._fields:
+            values = [value.get(name) if is_map(value) else None for name in self._fields]
+        say_csv([[*facts, *map(_cell, values)]])
+
+
+def _cell(value: object) -> str:
+    """Return a value for a cell: text as it is, others in JSON, nothing for None."""
+    if isinstance(value, str):
+        return csv_text(value)
+    return "" if value is None else json_of(value)
 
 
 def _word(status: GoalStatus) -> str:
