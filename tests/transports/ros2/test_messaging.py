@@ -255,6 +255,8 @@ async def test_the_newest_message_of_a_topic_and_any_topic_are_read_without_a_su
         assert "dropped" not in caplog.text
         topics = await planner.settled(lambda view: dict(view.topics()))
         assert topics[weak.topic] == STRING
+        robot.subscribe("wanted", STRING)  # a topic that no one publishes
+        await until(lambda: planner.topics().get(f"{weak.topic.removesuffix('map')}wanted"))
         with await planner.follow("map", timeout=PATIENCE) as any_of_it:
             await until(lambda: weak.reader_count() == 2)
             await until(any_of_it.publisher_count)

@@ -178,11 +178,10 @@ class DdsGraph(RosGraph):
         return sorted(set(self._nodes.get(prefix, {}).values()))
 
     def topics(self) -> list[tuple[str, str]]:
-        """Return the topics that have a publisher, each with the name of its type."""
         found = {
             ros_topic(end.topic): ros_type(end.type_name)
             for end in (*self._own.values(), *self._participant.remote_endpoints)
-            if end.guid.is_writer and ros_topic(end.topic)
+            if ros_topic(end.topic)
         }
         return list(found.items())
 

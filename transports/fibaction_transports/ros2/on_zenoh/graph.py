@@ -99,17 +99,18 @@ class ZenohGraph(RosGraph):
         return {one.node for one in self._ends.get((NODE, ""), {}).values()}
 
     def topics(self) -> list[tuple[str, str]]:
-        return self._types_of(PUBLISHER)
+        return self._types_of(PUBLISHER, SUBSCRIPTION)
 
     def services(self) -> list[tuple[str, str]]:
         return self._types_of(SERVER)
 
-    def _types_of(self, wanted: str) -> list[tuple[str, str]]:
-        return [
-            (topic, next(iter(ends.values())).type_name)
+    def _types_of(self, *wanted: str) -> list[tuple[str, str]]:
+        found = {
+            topic: next(iter(ends.values())).type_name
             for (kind, topic), ends in self._ends.items()
-            if kind == wanted
-        ]
+            if kind in wanted
+        }
+        return list(found.items())
 
     def publishers(self, topic: str) -> Sequence[EndInfo]:
         return self._infos(PUBLISHER, topic)
