@@ -149,7 +149,6 @@ class Node(RosTransport):
         found = self._newest.get(key)
         if found is None:
             found = self._newest[key] = self.subscribe(topic, type_, qos=qos, depth=1)
-            found.is_sampled = True
         return found.latest
 
     async def follow(
@@ -160,7 +159,11 @@ class Node(RosTransport):
         The errors are those of `type_of` and `subscribe`.
         """
         type_name = await self.type_of(topic, timeout=timeout)
-        offers = [end.qos for end in self._ros.publishers(self._ros.resolve(topic))]
+        name = self._ros.resolve(topic)
+        found = self._ros.publishers(name)
+        if not found:  # a subscription may have been seen first
+            found = await self.settled(lambda view: view.publishers(name))
+        offers = [end.qos for end in found]
         return self.subscribe(topic, type_name, qos=qos or suiting(offers), depth=depth)
 
     async def settled(self, look: Callable[[GraphView], T]) -> T:
@@ -403,6 +406,5 @@ async def topic_values(
     """
     async with open_node(where, **settings) as node:
         with await node.follow(topic, qos=qos, depth=1, timeout=timeout) as messages:
-            messages.is_sampled = True
             async with aclosing(plain_value(message) async for message in messages) as values:
                 yield values

@@ -33,8 +33,9 @@ class Subscription(Closing, Generic[T]):
 
     It is an async iterator, which ends when it is closed, and raises `ConnectionLost` when its node
     is. A reader that is slower than the topic gets the newest messages; those that it has missed
-    are counted. With `qos="keep_all"`, publishers that keep all wait for it instead, over `dds://`
-    and `ros2://`. If several tasks read one subscription, each message goes to one of them.
+    are counted, unless the depth is 1: then the newest one is wanted. With `qos="keep_all"`,
+    publishers that keep all wait for it instead, over `dds://` and `ros2://`. If several tasks read
+    one subscription, each message goes to one of them.
     """
 
     def __init__(
@@ -43,8 +44,6 @@ class Subscription(Closing, Generic[T]):
         """Subscribe; `Node.subscribe` does it."""
         self.topic = topic
         """The full name of the topic."""
-        self.is_sampled = False
-        """True if only the newest message counts, so that none is missed."""
         self._ros = ros
         self._type = topic_type.message
         self._form = form
@@ -68,7 +67,7 @@ class Subscription(Closing, Generic[T]):
         return self._drops.count
 
     def _take(self, message: bytes, publisher: bytes) -> None:
-        if len(self._queue) == self._queue.maxlen and not self.is_sampled:
+        if len(self._queue) == self._queue.maxlen != 1:  # of 1, the newest is wanted
             self._drops.note("newer ones came before it was read")
         self._queue.append(message)
         if len(self._queue) >= self._room and not self._is_paused:
@@ -101,7 +100,7 @@ class Subscription(Closing, Generic[T]):
         """
         with anyio.move_on_after(timeout):
             return await self._next()
-        reason = self._explanation() or f"{self._part.publisher_count()} publishers are connected"
+        reason = self._explanation() or f"connected publishers: {self._part.publisher_count()}"
         raise TimeoutError(f"nothing arrived on {self.topic} in {timeout:g} s: {reason}")
 
     async def _next(self) -> T:
