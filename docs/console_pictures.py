@@ -9,7 +9,9 @@ differ each time by the IDs of the goals and the times, so look at them before y
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
@@ -18,7 +20,7 @@ FOLDER = ROOT / "docs" / "console"
 sys.path.insert(0, str(ROOT))
 
 from tests.browser.conftest import CHROMIUM  # noqa: E402  # the tests are not installed
-from tests.browser.served import RobotProcess  # noqa: E402
+from tests.browser.served import ArchiveProcess, RobotProcess  # noqa: E402
 
 
 def send(page: Page, action: str, fields: dict[str, str]) -> None:
@@ -78,12 +80,30 @@ def take(browser: Browser, robot: RobotProcess) -> None:
     phone.close()
 
 
+def take_list(browser: Browser, archive: RobotProcess) -> None:
+    """Take the picture of a list with a history."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800}, device_scale_factor=1.25)
+    columns = "state,request.order,request.color,labels,reason,ran,time"
+    page.goto(f"{archive.url}/#/paint?state=not+succeeded&sort=-ran&columns={columns}")
+    page.get_by_text("23 goals.").wait_for()
+    for place in (0, 2, 3):
+        page.locator(".goals tbody tr").nth(place).get_by_role("checkbox").check()
+    page.locator(".list").evaluate("one => window.scrollTo(0, one.offsetTop - 70)")
+    page.screenshot(path=FOLDER / "goal_list.png")
+    page.close()
+
+
 def main() -> None:
     """Take all pictures, and write them."""
     FOLDER.mkdir(exist_ok=True)
-    with RobotProcess() as robot, sync_playwright() as playwright:
+    with ExitStack() as stack:
+        robot = stack.enter_context(RobotProcess())
+        folder = stack.enter_context(TemporaryDirectory())
+        archive = stack.enter_context(ArchiveProcess(Path(folder)))
+        playwright = stack.enter_context(sync_playwright())
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         take(browser, robot)
+        take_list(browser, archive)
         browser.close()
 
 

@@ -631,7 +631,7 @@ def test_goals_are_searched_and_filtered(page: Page, robot: RobotProcess) -> Non
     expect(row(page, broken)).to_be_visible()
     page.get_by_label("Search actions").fill("dri")
     expect(page.get_by_role("navigation").get_by_role("link")).to_have_text(
-        ["All actions", re.compile("arm/drive")]
+        ["All actions", "Map", re.compile("arm/drive")]
     )
 
 

@@ -2,7 +2,7 @@
 
 import { shapeOf } from "./action_shape.js";
 import { arrange, h, markCurrent, setText, show } from "./dom.js";
-import { linkTo, openLink } from "./goal_text.js";
+import { breakable, linkTo, openLink } from "./goal_text.js";
 import { isWithin, namespacesOf } from "./scope.js";
 
 export class ActionList {
@@ -20,7 +20,7 @@ export class ActionList {
 
   item(name, text, href = name ? linkTo(name) : "#/") {
     const count = h("span", { class: "count" });
-    const link = h("a", { href }, h("span", {}, text), count);
+    const link = h("a", { href }, breakable(text), count);
     return { link, count, element: h("li", {}, link) };
   }
 

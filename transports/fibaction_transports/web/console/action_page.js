@@ -4,11 +4,10 @@ import { announce, errorPlace, h, setText, show, tellError } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
-import { counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
+import { breakable, counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
 import { Levers } from "./levers.js";
 import { Numbers } from "./numbers.js";
-import { PastGoals } from "./past_goals.js";
 import { descriptionOf } from "./schema.js";
 import { isWithin } from "./scope.js";
 import { Timeline } from "./timeline.js";
@@ -23,19 +22,19 @@ export class ActionPage {
     this.scope = scope;
     this.view = null;
     this.states = new Map();
-    this.past = new PastGoals(store);
     this.timeline = new Timeline({ withAction: !info });
     this.list = new GoalList({
+      store,
+      info,
       withAction: !info,
       oncancel: (record) => this.cancel(record),
       oncancelAll: () => this.cancelAll(),
       onforget: store.isRecording ? null : () => this.forget(),
-      onmore: store.isRecording ? () => store.change() : () => this.past.more(scope, this.list.filter.past),
       onfilter: () => {
         onfilter(this.list.filter.query);
-        this.past.reset();
         store.change();
       },
+      onfail: (text) => this.fail(text),
     });
     this.levers = new Levers(store, info, scope, (text) => this.fail(text));
     this.numbers = new Numbers(store, scope);
@@ -44,7 +43,7 @@ export class ActionPage {
     this.error = errorPlace();
     this.place = h("div", { class: "goal-place" });
     this.form = info && !store.isRecording ? new GoalForm(info, (goal) => this.send(goal)) : null;
-    const title = h("h1", {}, info?.name ?? (scope || "All actions"));
+    const title = h("h1", {}, breakable(info?.name ?? (scope || "All actions")));
     const type = info?.type_name ?? info?.typeName;
     const head = h("div", { class: "title" }, title, type ? h("code", {}, type) : null, this.levers.element);
     const about = this.form && descriptionOf(info.goal);
@@ -73,7 +72,7 @@ export class ActionPage {
     }
     this.element.classList.toggle("with-goal", Boolean(record));
     this.view?.update(record);
-    this.list.update(goals, record?.key, this.past.text);
+    this.list.update(goals, record?.key, this.scope && this.namesOf());
     this.timeline.update(goals, record?.key);
     this.levers.update();
     this.numbers.update();
@@ -81,10 +80,14 @@ export class ActionPage {
     this.tellEnds(goals);
   }
 
+  /** Return the names of the actions that the page is about. */
+  namesOf() {
+    return [...this.store.actions.keys()].filter((name) => isWithin(name, this.scope));
+  }
+
   /** Say which servers are away. */
   tellAway() {
-    const names = [...this.store.actions.keys()].filter((name) => isWithin(name, this.scope));
-    const away = names.filter((name) => this.store.awayOf(name));
+    const away = this.namesOf().filter((name) => this.store.awayOf(name));
     show(this.away, away.length > 0);
     if (away.length) {
       const { since, reason } = this.store.awayOf(away[0]);

@@ -6,20 +6,24 @@ import { pickedOf } from "./time_field.js";
 import { summaryOf } from "./values.js";
 
 const STATES = {
-  all: { fits: () => true, ended: [] },
-  active: { fits: (goal) => goal.isActive, ended: null },
-  ended: { fits: (goal) => !goal.isActive, ended: [] },
-  "not succeeded": { fits: (goal) => !goal.isActive && goal.status !== "SUCCEEDED", ended: [5, 6] },
+  all: { fits: () => true, asked: [] },
+  active: { fits: (goal) => goal.isActive, asked: ["active"] },
+  waiting: { fits: (goal) => goal.status === "ACCEPTED", asked: ["ACCEPTED"] },
+  ended: { fits: (goal) => !goal.isActive, asked: ["ended"] },
+  "not succeeded": { fits: (goal) => !goal.isActive && goal.status !== "SUCCEEDED", asked: ["CANCELED", "ABORTED"] },
 };
-const LAST_TIME = 9e12; // milliseconds; the last that a stamp can tell is a little later
 
 export class GoalFilter {
-  /** Make the fields; `onchange` is called with each change of a person. */
-  constructor(onchange) {
-    this.onchange = onchange;
-    const field = (type, more) => h("input", { type, autocomplete: "off", oninput: onchange, ...more });
+  /** Make the fields; `onchange` is called with each change of a person, and begins at the first page. */
+  constructor(layout, onchange) {
+    this.layout = layout;
+    this.onchange = () => {
+      layout.from = 0;
+      onchange();
+    };
+    const field = (type, more) => h("input", { type, autocomplete: "off", oninput: this.onchange, ...more });
     this.search = field("search", { placeholder: "Search goals", "aria-label": "Search goals" });
-    this.state = h("select", { "aria-label": "Filter goals", oninput: onchange }, ...Object.keys(STATES).map((name) => h("option", {}, name)));
+    this.state = h("select", { "aria-label": "Filter goals", oninput: this.onchange }, ...Object.keys(STATES).map((name) => h("option", {}, name)));
     this.client = field("search");
     this.label = field("search", { placeholder: "key=value" });
     this.since = field("datetime-local");
@@ -41,7 +45,7 @@ export class GoalFilter {
     const { search, client, label, since, until } = this;
     const state = this.state.selectedIndex ? this.state.value : "";
     const times = [since, until].map((input) => (Number.isNaN(timeIn(input)) ? "" : new Date(input.value).toISOString()));
-    const parts = { search: search.value, state, client: client.value, label: label.value, since: times[0], until: times[1] };
+    const parts = { search: search.value, state, client: client.value, label: label.value, since: times[0], until: times[1], ...this.layout.parts };
     const text = new URLSearchParams(Object.entries(parts).filter(([, value]) => value)).toString();
     return text && `?${text}`;
   }
@@ -54,6 +58,7 @@ export class GoalFilter {
     for (const name of ["since", "until"]) {
       this[name].value = pickedOf(parts.get(name) ?? "", "date-time").slice(0, 16);
     }
+    this.layout.parts = parts;
     this.state.value = parts.get("state") ?? "all";
     this.state.selectedIndex = Math.max(this.state.selectedIndex, 0);
     this.more.open ||= [this.client, this.label, this.since, this.until].some(({ value }) => value);
@@ -76,12 +81,16 @@ export class GoalFilter {
     return [key, rest.length ? rest.join("=") : undefined];
   }
 
-  /** What a server is asked of its history, as its fields have it; null if nothing there is wanted. */
-  get past() {
-    const statuses = STATES[this.state.value].ended;
+  /** Return what a server is asked for: a page of the goals of these actions that are wanted. */
+  asked(actions) {
+    const { search, client, state, layout } = this;
     const [key, value] = this.labelParts;
-    const stamps = [timeIn(this.since), timeIn(this.until)].map((time) => (Number.isNaN(time) ? null : stampOf(time)));
-    return statuses && { page: [statuses, this.client.value, ...stamps], labels: key && value !== undefined ? [[key, value]] : [] };
+    const words = [search.value, key && value === undefined ? `${key}=` : ""].filter(Boolean).join(" ");
+    const [since, until] = [this.since, this.until].map((input) => (Number.isNaN(timeIn(input)) ? "" : new Date(input.value).toISOString()));
+    const one = { search: words, client: client.value, label: key && value !== undefined ? this.label.value.trim() : "", since, until };
+    const parts = [...Object.entries(one), ["sort", layout.sort], ["offset", layout.from || ""], ["limit", layout.rows]];
+    const many = [...actions.map((name) => ["action", name]), ...STATES[state.value].asked.map((status) => ["status", status])];
+    return new URLSearchParams([...parts.filter(([, text]) => text), ...many]).toString();
   }
 }
 
@@ -90,18 +99,13 @@ function timeIn({ value }) {
   return new Date(value).getTime();
 }
 
-/** Return a time as a stamp of the protocol, in nanoseconds; one that no stamp can tell as the nearest. */
-function stampOf(time) {
-  return BigInt(Math.min(Math.max(time, 0), LAST_TIME)) * 1_000_000n;
-}
-
 function matches(goal, words) {
   if (!words.length) {
     return true;
   }
-  const { id, action, client, reason, parent, worker } = goal;
+  const { id, action, status, client, reason, parent, worker } = goal;
   const labels = labelsOf(goal).join(" ");
-  const text = [id, action, stateOf(goal), client, worker, reason, labels, summaryOf(goal.goal, 500), parent?.step, parent?.id]
+  const text = [id, action, status, stateOf(goal), client, worker, reason, labels, summaryOf(goal.goal, 500), parent?.step, parent?.id]
     .join(" ")
     .toLowerCase();
   return words.every((word) => text.includes(word));

@@ -1,70 +1,49 @@
-/** A table of goals, with a choice of goals, older ones from the server, and files of them. */
+/** A table of goals, page by page: those that a person wants, in the order and with the columns chosen. */
 
+import { ChosenGoals } from "./chosen_goals.js";
 import { arrange, button, h, markCurrent, setText, show } from "./dom.js";
-import { csvOf, jsonOf, saveFile } from "./goal_export.js";
-import { GoalFilter, labelsOf } from "./goal_filter.js";
-import { durationOf, linkTo, openLink, shortId, showBadge, stepOf, timeOf } from "./goal_text.js";
-import { summaryOf } from "./values.js";
+import { FoundGoals } from "./found_goals.js";
+import { Cell, headOf, showsRequest, sortOf, widthOf } from "./goal_columns.js";
+import { GoalFilter } from "./goal_filter.js";
+import { linkTo, openLink, shortId, stepOf } from "./goal_text.js";
+import { ListLayout } from "./list_layout.js";
+import { SavedViews } from "./saved_views.js";
 
-const MOST_ROWS = 100;
+const [BOX, ID, ACT] = [34, 104, 80]; // the shares of the width of the columns that each list has
+const LEAST = 0.83;
+
 /** One goal in a table. */
 class Row {
-  constructor(record, { withAction, oncancel }) {
+  constructor(record, columns, { oncancel, onchoose }) {
     this.link = h("a", { href: linkTo(record.action, record.id) }, shortId(record.id));
     this.step = h("small", { class: "step" });
-    this.badge = h("span", { class: "badge" });
-    this.bar = h("progress", { max: 1, "aria-label": `Progress of ${shortId(record.id)}` });
-    this.request = h("span");
-    this.labels = h("small", { class: "labels" });
-    this.goal = h("td", { class: "value" }, this.request, this.labels);
-    this.time = h("td", { class: "time" });
-    this.client = h("td", { class: "client" });
-    this.oncancel = oncancel;
+    this.box = h("input", { type: "checkbox", "aria-label": `Choose ${shortId(record.id)}`, onchange: () => onchoose(this.record, this.box.checked) });
     const name = `Cancel ${shortId(record.id)}`;
-    this.cancel = button("Cancel", () => this.oncancel(this.record), { class: "quiet", "aria-label": name });
-    const action = withAction ? h("td", {}, h("a", { href: linkTo(record.action) }, record.action)) : null;
-    this.element = h(
-      "tr",
-      {},
-      h("td", { class: "id" }, this.link, this.step),
-      action,
-      h("td", { class: "state" }, this.badge, this.bar),
-      this.goal,
-      this.client,
-      this.time,
-      h("td", { class: "act" }, this.cancel),
-    );
+    this.cancel = button("Cancel", () => oncancel(this.record), { class: "quiet", "aria-label": name });
+    this.cells = columns.map((column) => new Cell(column, record));
+    this.hasReason = columns.includes("reason");
+    const ends = [h("td", { class: "box" }, this.box), h("td", { class: "id" }, this.link, this.step)];
+    this.element = h("tr", {}, ...ends, ...this.cells.map((cell) => cell.element), h("td", { class: "act" }, this.cancel));
     this.element.addEventListener("click", (event) => {
-      if (!event.target.closest("a, button")) {
+      if (!event.target.closest("a, button, input")) {
         openLink(this.link.getAttribute("href"), false);
       }
     });
   }
 
-  update(record, isShown, query) {
+  update(record, isShown, query, isChosen) {
     this.record = record;
     const address = linkTo(record.action, record.id) + query;
-    if (this.link.getAttribute("href") !== address) {
+    if (this.address !== address) {
+      this.address = address;
       this.link.setAttribute("href", address);
     }
     show(this.step, Boolean(record.parent));
     if (record.parent) {
       setText(this.step, `${stepOf(record.parent)} of ${shortId(record.parent.id)}`);
     }
-    showBadge(this.badge, record);
-    show(this.bar, record.isActive && record.progress !== null);
-    this.bar.value = record.progress ?? 0;
-    const reason = record.reason ? ` – ${record.reason}` : "";
-    setText(this.request, `${summaryOf(record.goal)}${reason}`);
-    const labels = labelsOf(record);
-    show(this.labels, labels.length > 0);
-    setText(this.labels, labels.join(" "));
-    setText(this.client, record.isMine ? "this page" : record.client);
-    if (this.sentAt !== record.sentAt) {
-      this.sentAt = record.sentAt;
-      this.clock = timeOf(record.sentAt);
-    }
-    setText(this.time, [this.clock, durationOf(record.seconds())].filter(Boolean).join(", "));
+    this.cells.forEach((cell) => cell.update(record, this.hasReason));
+    this.box.checked = isChosen;
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     this.element.classList.toggle("current", isShown);
     markCurrent(this.link, isShown);
@@ -72,71 +51,102 @@ class Row {
 }
 
 export class GoalList {
-  /** Make a table of the goals of one action, or of all if `withAction`. */
-  constructor({ withAction, oncancel, oncancelAll, onforget, onmore, onfilter }) {
-    this.options = { withAction, oncancel };
+  /** Make a table of the goals of one action, or of all without an `info`. */
+  constructor({ store, info, withAction, oncancel, oncancelAll, onforget, onfilter, onfail }) {
+    this.store = store;
     this.mayForget = Boolean(onforget);
     this.rows = new Map();
-    this.most = MOST_ROWS;
-    this.filter = new GoalFilter(onfilter);
+    this.found = new FoundGoals(store);
+    this.layout = new ListLayout(info, withAction, onfilter);
+    this.filter = new GoalFilter(this.layout, onfilter);
     this.search = this.filter.search;
     this.search.addEventListener("keydown", (event) => event.key === "Enter" && this.open());
+    this.chosen = new ChosenGoals({ store, found: this.found, onfail, onchange: () => store.change() });
+    this.options = { oncancel, onchoose: (record, isChosen) => this.chosen.choose([record], isChosen) };
     this.cancelAll = button("Cancel all", oncancelAll);
     this.forget = button("Clear list", onforget, { class: "quiet" });
+    this.every = h("input", { type: "checkbox", "aria-label": "Choose all goals of this page", onchange: () => this.chosen.choose(this.shown, this.every.checked) });
+    this.head = h("tr");
     this.body = h("tbody");
-    this.note = h("p", { class: "note" });
-    const action = withAction ? h("th", { scope: "col" }, "Action") : null;
-    const head = h(
-      "tr",
-      {},
-      h("th", { scope: "col" }, "Goal"),
-      action,
-      ...["State", "Request", "Client", "Time"].map((name) => h("th", { scope: "col", class: `${name.toLowerCase()}-head` }, name)),
-      h("th", { scope: "col" }, h("span", { class: "hidden-text" }, "Cancel")),
-    );
-    const table = h("table", { class: "goals" }, h("caption", { class: "hidden-text" }, "Goals"), h("thead", {}, head), this.body);
+    this.note = h("p", { class: "note", role: "status" });
+    const caption = h("caption", { class: "hidden-text" }, "Goals");
+    this.table = h("table", { class: "goals" }, caption, h("thead", {}, this.head), this.body);
     const tools = h("div", { class: "tools" }, this.search, this.filter.state, h("span", { class: "space" }), this.cancelAll, this.forget);
-    this.older = button("Older goals", () => {
-      this.most += MOST_ROWS;
-      onmore?.();
-    });
-    this.past = h("span", { class: "note", role: "status" });
-    const files = [button("Save as JSON", () => this.save("json", jsonOf), { class: "quiet" }), button("Save as CSV", () => this.save("csv", csvOf), { class: "quiet" })];
-    const foot = h("div", { class: "buttons" }, this.older, this.past, h("span", { class: "space" }), ...files);
-    this.element = h("section", { class: "card", "aria-label": "Goals" }, h("h2", {}, "Goals"), tools, this.filter.more, table, this.note, foot);
+    const move = (step) => () => this.layout.change({ from: Math.max(this.layout.from + step * this.layout.rows, 0) });
+    this.before = button("Previous", move(-1), { "aria-label": "Previous goals" });
+    this.after = button("Next", move(1), { "aria-label": "Next goals" });
+    const files = ["json", "csv"].map((ending) => button(`Save as ${ending.toUpperCase()}`, () => this.chosen.save(ending, this.listed), { class: "quiet" }));
+    const foot = h("div", { class: "buttons" }, this.before, this.after, this.note, h("span", { class: "space" }), ...files);
+    const more = h("div", { class: "mores" }, this.filter.more, this.layout.element, new SavedViews().element);
+    this.element = h("section", { class: "card list", "aria-label": "Goals" }, h("h2", {}, "Goals"), tools, more, this.chosen.element, h("div", { class: "rows" }, this.table), foot);
   }
 
-  /** Show these goals, the newest first, and what is told of those of the past. */
-  update(goals, shown, past = "") {
-    this.latest = [goals, shown, past];
-    const { query } = this.filter;
-    const found = goals.filter(this.filter.reader());
-    const visible = found.slice(0, this.most);
-    this.found = found;
-    setText(this.past, past);
-    const keys = new Set(visible.map((goal) => goal.key));
+  /** Show the goals of these actions, or of all, that are wanted; `goals` are those that this page knows. */
+  update(goals, shown, actions) {
+    this.latest = [goals, shown, actions];
+    const { filter, layout, found, chosen } = this;
+    const active = goals.filter((goal) => goal.isActive).length;
+    if (!actions || actions.length) {
+      found.want(filter.asked(actions || []), `${goals.filter((goal) => !goal.isListed).length} ${active}`);
+    }
+    const page = found.page(goals, layout, filter.reader());
+    this.listed = goals;
+    this.shown = page.goals;
+    this.updateHead();
+    const keys = new Set(page.goals.map((goal) => goal.key));
     for (const key of this.rows.keys()) {
       if (!keys.has(key)) {
         this.rows.delete(key);
       }
     }
-    const elements = visible.map((goal) => {
-      const row = this.rows.get(goal.key) ?? new Row(goal, this.options);
-      this.rows.set(goal.key, row);
-      row.update(goal, goal.key === shown, query);
-      return row.element;
-    });
-    arrange(this.body, elements);
-    const active = goals.filter((goal) => goal.isActive).length;
+    const { query } = filter;
+    arrange(this.body, page.goals.map((goal) => this.rowOf(goal, goal.key === shown, query)));
+    if (layout.columns.some(showsRequest)) {
+      found.readRequests(page.goals);
+    }
+    chosen.update(page.total);
+    this.every.checked = page.goals.length > 0 && page.goals.every((goal) => chosen.has(goal));
     show(this.cancelAll, active > 1);
     show(this.forget, this.mayForget && goals.length > active);
-    show(this.older, this.mayForget || visible.length < found.length);
-    setText(this.note, noteOf(goals.length, found.length, visible.length));
+    show(this.before, layout.from > 0);
+    show(this.after, layout.from + page.goals.length < page.total && page.goals.length > 0);
+    const note = found.isSearching ? "Searching…" : noteOf(layout.from, page);
+    setText(this.note, [note, found.text].filter(Boolean).join(" "));
   }
 
-  /** Save the goals of the list, also those that it has no row for. */
-  save(ending, textIn) {
-    saveFile(`goals.${ending}`, textIn(this.found), ending === "csv" ? "text/csv" : "application/json");
+  rowOf(goal, isShown, query) {
+    const row = this.rows.get(goal.key) ?? new Row(goal, this.layout.columns, this.options);
+    this.rows.set(goal.key, row);
+    row.update(goal, isShown, query, this.chosen.has(goal));
+    return row.element;
+  }
+
+  /** Show the names of the columns, those of an order as buttons. */
+  updateHead() {
+    const { columns, sort } = this.layout;
+    const now = `${columns.join()} ${sort}`;
+    if (now === this.headed) {
+      return;
+    }
+    this.headed = now;
+    this.rows.clear();
+    const heads = columns.map((column) => {
+      const by = sortOf(column);
+      const order = by && sort.replace("-", "") === by ? (sort.startsWith("-") ? "descending" : "ascending") : null;
+      const sign = order && h("span", { "aria-hidden": "true" }, order === "descending" ? " ↓" : " ↑");
+      const name = by ? button(headOf(column), () => this.layout.sortBy(by), { class: "quiet" }) : headOf(column);
+      return h("th", { scope: "col", class: `${column}-head`, "aria-sort": order }, name, sign);
+    });
+    const goal = h("th", { scope: "col", class: "id-head" }, "Goal");
+    const act = h("th", { scope: "col", class: "act-head" }, h("span", { class: "hidden-text" }, "Cancel"));
+    const all = [h("td", { class: "box-head" }, this.every), goal, ...heads, act];
+    const widths = [BOX, ID, ...columns.map(widthOf), ACT];
+    const sum = widths.reduce((one, other) => one + other);
+    all.forEach((head, place) => {
+      head.style.width = `${(100 * widths[place]) / sum}%`;
+    });
+    this.table.style.minWidth = `${LEAST * sum}px`; // below it, the table is scrolled
+    this.head.replaceChildren(...all);
   }
 
   /** Open the only goal that matches the search. */
@@ -155,12 +165,10 @@ export class GoalList {
   }
 }
 
-function noteOf(all, found, visible) {
-  if (!all) {
-    return "No goal yet.";
+function noteOf(from, { goals, total }) {
+  if (!total) {
+    return "No goal is found.";
   }
-  if (visible < found) {
-    return `The newest ${visible} of ${found} goals.`;
-  }
-  return found < all ? `${found} of ${all} goals.` : "";
+  const count = total.toLocaleString("en");
+  return goals.length < total ? `${from + 1} to ${from + goals.length} of ${count} goals.` : `${count} goal${total === 1 ? "" : "s"}.`;
 }

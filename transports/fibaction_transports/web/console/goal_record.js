@@ -14,6 +14,9 @@ const MOST_KEPT_LINES = 20;
 /** The statuses of goals that have not ended. */
 export const ACTIVE = ["SENDING", "ACCEPTED", "EXECUTING", "CANCELING"];
 
+/** The statuses of goals that have ended. */
+export const ENDED = ["SUCCEEDED", "CANCELED", "ABORTED"];
+
 /** The statuses of goals that have not begun. */
 export const WAITING = ["SENDING", "ACCEPTED"];
 
@@ -149,7 +152,24 @@ export class GoalRecord {
       parent, labels, worker, feedback, feedbackCount, feedbackDropped, ...drawn, text: this.text.kept() };
   }
 
-  /** Return the record of a goal in the history. */
+  /** Return the record of a goal that only a list tells of. */
+  static listed(action, told, info) {
+    const record = new GoalRecord(action, told.id, info);
+    record.takeListed(told);
+    return record;
+  }
+
+  /** Take what a list tells of a goal that was not known. */
+  takeListed(told) {
+    this.setFacts(told);
+    this.feedbackCount = Number(told.feedbackCount);
+    this.setStatus(told.status, 0);
+    this.isPast = this.isListed = !this.isActive;
+    this.reason = told.reason;
+    this.setTimes(told);
+  }
+
+  /** Return the record of a goal in the history of this browser. */
   static of({ points, trails, text, ...kept }, info) {
     const record = new GoalRecord(kept.action, kept.id, info);
     Object.assign(record, kept, { isPast: true });

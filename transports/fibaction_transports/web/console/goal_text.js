@@ -75,6 +75,12 @@ export function counted(number, name) {
   return `${number} ${name}${number === 1 ? "" : "s"}`;
 }
 
+/** Return a name that breaks where its parts end, and not within a word. */
+export function breakable(name) {
+  const parts = name.split(/(?<=[/_.])/);
+  return h("span", {}, ...parts.flatMap((part) => [part, h("wbr")]).slice(0, -1));
+}
+
 /** Return the first letters of a goal's ID. */
 export function shortId(id) {
   return id.slice(0, 8);

@@ -183,7 +183,6 @@ class Console {
     if (query !== this.query) {
       this.query = query;
       this.page.list.filter.query = query;
-      this.page.past.reset();
     }
   }
 

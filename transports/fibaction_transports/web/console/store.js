@@ -214,12 +214,6 @@ export class Store {
     return [...this.goals.values()].find((goal) => goal.id === id);
   }
 
-  /** Return the goals that the executor of a goal has sent, the first one first. */
-  childrenOf(record) {
-    const children = [...this.goals.values()].filter((goal) => goal.parent?.id === record.id);
-    return children.sort((one, other) => one.sentAt - other.sentAt);
-  }
-
   takeStatus(info, told) {
     if (told.status === "UNKNOWN") {
       this.takeForgotten(`${info.name}/${told.id}`);
@@ -243,13 +237,12 @@ export class Store {
   takePast(info, told) {
     const isKnown = this.goals.has(`${info.name}/${told.id}`);
     const record = this.recordOf(info, told.id);
-    record.setFacts(told);
-    if (!isKnown) {
-      record.feedbackCount = Number(told.feedbackCount);
-      record.setStatus(told.status, 0);
-      Object.assign(record, { isPast: true, isListed: true, reason: told.reason });
+    if (isKnown) {
+      record.setFacts(told);
+      record.setTimes(told);
+    } else {
+      record.takeListed(told);
     }
-    record.setTimes(told);
     this.change();
   }
 

@@ -13,14 +13,21 @@ export class Timeline {
   constructor({ withAction }) {
     this.withAction = withAction;
     this.svg = svg("svg", { role: "img", "aria-label": "Timeline of goals" });
+    this.width = 0; // observed, since to ask for it makes the browser lay out the list for each frame
+    new ResizeObserver(([entry]) => {
+      this.width = entry.contentRect.width;
+      this.update(...this.latest);
+    }).observe(this.svg);
+    this.latest = [[], ""];
     this.element = h("section", { class: "card timeline", "aria-label": "Timeline" }, h("h2", {}, "Timeline"), this.svg);
   }
 
   /** Draw the newest of these goals. */
   update(goals, shown) {
+    this.latest = [goals, shown];
     const newest = goals.filter((goal) => goal.sentAt).slice(0, MOST_GOALS);
     this.element.hidden = newest.length === 0;
-    const width = this.svg.clientWidth;
+    const { width } = this;
     if (!width || !newest.length) {
       return;
     }
@@ -29,13 +36,14 @@ export class Timeline {
     const end = Math.max(start + LEAST_SECONDS * 1000, ...newest.map((goal) => endOf(goal, now)));
     const names = newest.map((goal) => (this.withAction ? `${shortId(goal.id)} ${goal.action}` : shortId(goal.id)));
     const longest = Math.max(...names.map((name) => name.length));
-    const label = Math.min(longest * LETTER + 12, width / 3);
+    const isNarrow = longest * LETTER + 12 > width / 3; // then a name stands above its bar
+    const label = isNarrow ? 0 : longest * LETTER + 12;
+    const high = isNarrow ? 2 * ROW : ROW;
     const scale = (width - label - 70) / (end - start);
     const rows = newest.map((goal, index) => {
-      const name = names[index].slice(0, Math.floor(label / LETTER));
-      return rowOf(goal, index, { start, scale, now, shown, label, name });
+      return rowOf(goal, index * high + 2, { start, scale, now, shown, label, name: names[index], isNarrow });
     });
-    const height = newest.length * ROW + 4;
+    const height = newest.length * high + 4;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.svg.setAttribute("height", height);
     const words = newest.map((goal) => `${shortId(goal.id)} ${stateOf(goal)}`).join(", ");
@@ -48,8 +56,8 @@ function endOf(goal, now) {
   return goal.isActive ? goal.awayAt || now : goal.endedAt || goal.startedAt || goal.sentAt;
 }
 
-function rowOf(goal, index, { start, scale, now, shown, label, name }) {
-  const y = index * ROW + 2;
+function rowOf(goal, top, { start, scale, now, shown, label, name, isNarrow }) {
+  const y = top + (isNarrow ? ROW - 4 : 0);
   const from = label + (goal.sentAt - start) * scale;
   const begunAt = goal.startedAt || (WAITING.includes(goal.status) ? now : goal.sentAt);
   const begun = label + (begunAt - start) * scale;
@@ -60,7 +68,7 @@ function rowOf(goal, index, { start, scale, now, shown, label, name }) {
     "g",
     { class: goal.key === shown ? "current" : null },
     svg("title", {}, `${goal.action} ${shortId(goal.id)}: ${wordOf(goal.status)}${text && `, ${text}`}`),
-    svg("text", { x: 0, y: y + 12 }, name),
+    svg("text", { x: 0, y: top + 12 }, name),
     svg("rect", { class: "bar accepted", x: from, y, width: waits, height: ROW - 5, rx: 3 }),
     svg("rect", { class: `bar ${goal.status.toLowerCase()}`, x: from + waits, y, width: Math.max(to - from - waits, waits ? 0 : 3), height: ROW - 5, rx: 3 }),
     svg("text", { class: "duration", x: to + 6, y: y + 12 }, text),
