@@ -58,8 +58,12 @@ class Network:
         self.sent: list[Sent] = []
         self.is_full = False
         self.participant = SimpleNamespace(vendor_of=VENDORS.get)
+        self.answered: list[tuple[bytes, int]] = []
         writer = SimpleNamespace(
-            guid=writer_of(OWN), topic="requests", matched=[reader_of(one) for one in others]
+            guid=writer_of(OWN),
+            topic="requests",
+            matched=[reader_of(one) for one in others],
+            receive_answer=lambda *answer: self.answered.append(answer[:2]),
         )
         reader = SimpleNamespace(
             guid=reader_of(OWN),
@@ -121,6 +125,7 @@ async def test_servers_of_one_vendor_get_one_sample() -> None:
     assert sent.payload == GET_PARAMETERS.Request.codec.encode(REQUEST)
     client.answer(FAST, sent, RESPONSE)
     assert client.answers == [(1, [])]
+    assert client.answered == [(FAST, 1)]  # which acknowledges the request
 
 
 async def test_servers_with_a_header_get_it_ahead_of_the_message() -> None:

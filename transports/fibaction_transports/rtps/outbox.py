@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from msgspec import Struct, structs
@@ -60,7 +61,7 @@ class Outbox:
     They become bytes when a datagram is taken, so a large sample for several readers is not copied
     for each of them beforehand. A sample for several readers of one participant is sent once. Of
     several heartbeats of a writer for a reader, the newest is sent: it says what the others say,
-    and asks for one acknowledgement.
+    and asks for one acknowledgement. Acknowledgements that may wait join the next datagram.
     """
 
     def __init__(
@@ -76,6 +77,8 @@ class Outbox:
         self._budgets = budgets
         self.counters = counters
         self._waiting: dict[PeerRoute, _Queue] = {}
+        self.owed: dict[PeerRoute, dict[Callable[[], None], None]] = defaultdict(dict)
+        """Callbacks for the next datagram of each route, to which they may add."""
         self.count = 0
         """The number of submessages that wait."""
 
@@ -121,6 +124,8 @@ class Outbox:
         """Take the datagrams one by one, with the addresses that they are for."""
         while self._waiting:
             route = next(iter(self._waiting))
+            for acknowledge in self.owed.pop(route, ()):
+                acknowledge()
             queue = self._waiting.pop(route)
             entries = [each for each in queue.entries if each is not None]
             self.count -= len(entries)

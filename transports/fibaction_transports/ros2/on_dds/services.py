@@ -239,14 +239,12 @@ class DdsCaller(ServiceCaller):
         known = self._of_sample.get(identity.number)
         if known is None:
             return None
-        self._note_answered(identity.number)
-        return known, sample.payload
-
-    def _note_answered(self, number: int) -> None:
-        """Forget an answered sample when enough others have been answered after it."""
-        self._answered.append(number)
+        participant = sample.writer[:PREFIX_SIZE]
+        self.ends.writer.receive_answer(participant, identity.number, current_time())
+        self._answered.append(identity.number)
         if len(self._answered) > ANSWERED_REQUESTS:
             self._of_sample.pop(self._answered.popleft(), None)
+        return known, sample.payload
 
     def close(self) -> None:
         """Wait for no answer any more."""

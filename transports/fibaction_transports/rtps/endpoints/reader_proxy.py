@@ -10,6 +10,7 @@ A heartbeat in one datagram with a sample tells nothing of that sample, as both 
 It tells of those before, and asks for an acknowledgement. So only one of many samples has one: the
 last ones are asked for by the writer, after a pause. But a reader that lacks older samples gets one
 with each: one of Fast DDS requests what is missing, and skips what is gone, when a heartbeat tells.
+If samples are requests that are answered at once, the answers acknowledge them.
 
 What a reader requests is sent again at once, unless it was sent within `REPAIR_PAUSE`, or the
 budget of the reader's participant is used up (`budgets`).
@@ -44,6 +45,8 @@ SAMPLES_WITHOUT = 64
 """New samples that may be sent without a heartbeat."""
 QUESTIONS = 2
 """Questions for a heartbeat that are no sign that one was heard; some may ask in each answer."""
+ANSWERED_SOON = 0.02
+"""Seconds after which a sample without a heartbeat has one, unless it was answered."""
 SILENCE = 10.0
 """Seconds without an acknowledgement after which a reader keeps no samples back."""
 GAP_SIZE = 32
@@ -71,6 +74,9 @@ class ReaderProxy:
         """The newest sample of which it told."""
         self._is_current = False
         """True if the reader has said that it lacks nothing, and not otherwise since."""
+        self.is_answered = False
+        """True if the last sample was answered soon."""
+        self._written_at = -math.inf
         self._before = 0
         self._is_new = False
         self._questions = 0
@@ -105,12 +111,15 @@ class ReaderProxy:
         if not self.is_reliable or (self.acknowledged >= number - 1 and not self._is_new):
             self.waits_since = now
         self._budget.write(len(sample.payload))
+        self._written_at = now
         if self._is_new:
             return
         # One that waits is replaced at no cost, so it is told of the newest sample, too.
         is_recent = now - self._told_at < HEARTBEAT_PAUSE and number - self._told < SAMPLES_WITHOUT
-        has_heartbeat = not (is_recent and self._is_current) or self._shared.outbox.has_heartbeat(
-            self._route, self._entity, self._writer
+        is_answered_soon = self.is_answered and self.acknowledged == number - 1
+        has_heartbeat = not is_answered_soon and (
+            not (is_recent and self._is_current)
+            or self._shared.outbox.has_heartbeat(self._route, self._entity, self._writer)
         )
         if sample.only_to in (None, self.guid):
             self._send_sample(number, sample)
@@ -173,6 +182,13 @@ class ReaderProxy:
         elif not nack.is_final and now - self._answered >= ANSWER_PAUSE:
             self._answered = now
             self.heartbeat(now)
+
+    def receive_answer(self, number: int, now: float) -> None:
+        """Note that the reader has a sample, since it was answered."""
+        self.is_answered = now - self._written_at < ANSWERED_SOON
+        if self.is_reliable and number == self.acknowledged + 1:
+            self._acknowledge(number)
+            self.waits_since = now
 
     def _is_answer(self, nack: AckNack) -> bool:
         self._questions += not (nack.is_final or nack.missing.numbers)

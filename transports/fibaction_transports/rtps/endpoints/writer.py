@@ -203,6 +203,12 @@ class DataWriter:
             proxy.receive_acknack(nack, now)
             self._forget(now)
 
+    def receive_answer(self, participant: bytes, number: int, now: float) -> None:
+        """Note that a participant has answered a sample: its readers have it."""
+        for reader, proxy in self.readers.items():
+            if reader[:PREFIX_SIZE] == participant:
+                proxy.receive_answer(number, now)
+
     def receive_fragment_nack(self, reader: Guid, nack: FragmentNack, now: float) -> None:
         """Send the fragments that a reader misses."""
         proxy = self.readers.get(reader)
@@ -213,6 +219,7 @@ class DataWriter:
         """Ask the readers again that have not acknowledged everything."""
         waiting = [p for p in self.readers.values() if p.has_unacknowledged(self.last)]
         for proxy in waiting:
+            proxy.is_answered = False
             proxy.heartbeat(now)
         self._pause = min(self._pause * 2, LONGEST_HEARTBEAT)
         self._forget(now)

@@ -9,7 +9,8 @@ How a sample comes, if the two are reliable:
 - A sample with a later number is held until those before it have come. Only numbers in a window
   from `_next` on are held or requested, so a forged number makes nobody hold or ask for more.
 - A heartbeat tells what there is. Missing samples are requested at once, and again while nothing
-  comes (`RequestPace`); an acknowledgement waits, so that one can answer several heartbeats.
+  comes (`RequestPace`); an acknowledgement waits, so that one can answer several heartbeats, and
+  joins a datagram that leaves meanwhile.
 - A request names only numbers that a heartbeat has announced: Fast DDS answers one for a number
   that is not written yet with a GAP, and the sample is then lost.
 - Fragments are requested only after a pause without one, because the others are on their way.
@@ -89,6 +90,8 @@ class WriterProxy:
         self._request_pause = FIRST_REQUEST
         self._requests = 0
         self._pace = RequestPace(shared.answer_time)
+        self._owes = False
+        """True if the writer waits for an acknowledgement."""
         self._fragment_pause = FRAGMENT_PAUSE
         self._catch_up = CatchUp(shared.timers, self.ask, on_caught_up)
 
@@ -113,6 +116,7 @@ class WriterProxy:
         """Hand over what was held back, and tell the writer."""
         if self._is_reliable and self._next is not None:
             self._hand_over(now)
+            self._owes = True
             self._shared.timers.set_earlier(self.on_acknowledge_due, now)
 
     def start_reliable(self, heartbeat: WriterHeartbeat | None, now: float) -> None:
@@ -128,6 +132,7 @@ class WriterProxy:
         """Forget everything that is held."""
         for callback in (self.on_request_due, self.on_fragments_due, self.on_acknowledge_due):
             self._shared.timers.cancel(callback)
+        self._shared.outbox.owed.pop(self._route, None)  # timers remind the others
         for partial in list(self._partials.values()):
             self._shared.partials.remove(partial)
         for number in list(self._held):
@@ -200,7 +205,9 @@ class WriterProxy:
         if self._partials or (self._next or 1) <= self._announced:
             self._request(now)
         elif not heartbeat.is_final:
+            self._owes = True
             self._shared.timers.set_earlier(self.on_acknowledge_due, now + pause)
+            self._shared.outbox.owed[self._route][self._acknowledge_all] = None
 
     def receive_gap(self, gap: Gap, now: float) -> None:
         """Note samples that do not come."""
@@ -237,8 +244,12 @@ class WriterProxy:
             self._request_pause = min(self._request_pause * 2, LONGEST_REQUEST)
 
     def on_acknowledge_due(self, now: float) -> None:
-        """Tell the writer that everything has arrived, if so."""
-        if self._next is not None and not self._missing():
+        """Acknowledge what has arrived: no datagram has left meanwhile."""
+        self._acknowledge_all()
+
+    def _acknowledge_all(self) -> None:
+        """Tell the writer that everything has arrived, if so, and if it has not been told."""
+        if self._owes and self._next is not None and not self._missing():
             self._acknowledge(NumberSet(self._next), is_final=True)
 
     def on_fragments_due(self, now: float) -> None:
@@ -363,6 +374,7 @@ class WriterProxy:
         self._acknowledge(NumberSet(self._next or 1, missing), is_final=False)
 
     def _acknowledge(self, missing: NumberSet, *, is_final: bool) -> None:
+        self._owes = False
         self._shared.timers.cancel(self.on_acknowledge_due)
         ends, count = (self._reader.entity, self._guid.entity), self._shared.next_count()
         self._shared.outbox.add(self._route, AckNack(*ends, missing, count, is_final))
