@@ -11,13 +11,15 @@ from typing import Any
 import anyio
 import pytest
 from rcl_interfaces.srv import ListParameters
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import Float32MultiArray, String
 
 from fibaction import ConnectionLost, TransportError
-from fibaction_transports.ros2 import Node, open_node
+from fibaction_transports.ros2 import EndQos, Node, open_node
 from tests.ros2.spun import spun_node
 
 pytestmark = pytest.mark.anyio
@@ -200,6 +202,69 @@ async def test_declared_parameters_are_seen_set_and_refused_by_rclpy(scheme: str
                 await own.set({name: value})
         await own.set({"speed": 1.5})
         assert own["speed"] == 1.5
+
+
+async def test_a_quality_of_service_that_is_wrong_or_does_not_match_is_told(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        for qos, problem in (
+            ("fast", "'fast' is not one of .*, nor one of default, sensor_data"),
+            ("keep_all,keep_last", "two words for history"),
+            ("keep_all,transient_local", "would keep every message"),
+            (EndQos(reliability="keep_all"), "'keep_all' is no reliability"),
+            (EndQos(depth=0), "depth must be at least 1"),
+        ):
+            with pytest.raises(ValueError, match=problem):
+                node.publisher("map", STRING, qos=qos)
+        with pytest.raises(TypeError, match="qos is a text such as"):
+            node.publisher("map", STRING, qos=None)  # type: ignore[call-overload]  # that is it
+        heard: list[Any] = []
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)  # they warn of themselves
+        stock.create_subscription(
+            String, node.full_name("map"), heard.append, 10, event_callbacks=quiet
+        )
+        weak = node.publisher("map", STRING, qos="best_effort")
+        await until(lambda: node._ros.subscriptions(weak.topic))
+        text = "this publisher offers best_effort, and .*stock wants reliable"
+        with pytest.raises(TimeoutError, match=text):
+            await weak.wait_for_reader(0.1)
+        with pytest.raises(TimeoutError, match=r"fewer than 2 have subscribed to .*/map in 0.1 s"):
+            await node.publisher("map", STRING).wait_for_reader(0.1, count=2)
+        lasting = stock.create_publisher(
+            String, node.full_name("log"), QoSProfile(depth=1, lifespan=Duration(seconds=10))
+        )
+        await until(lambda: node._ros.publishers(lasting.topic_name))
+        assert node._ros.publishers(lasting.topic_name)[0].qos.lifespan == 10
+
+
+async def test_services_are_found_with_their_types(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, stock):
+        stock.create_service(ListParameters, node.full_name("theirs"), print)
+        await until(lambda: dict(node._ros.services()).get(node.full_name("theirs")) == LIST)
+        found = await node.settled(lambda view: dict(view.services()))
+        assert found[node.full_name("theirs")] == LIST
+
+
+def trusting(value: object) -> None:
+    raise RuntimeError("cut")
+
+
+async def test_values_of_parameters_have_their_types(scheme: str) -> None:
+    async with beside_rclpy(scheme) as (node, _):
+        own = node.parameters()
+        with pytest.raises(ValueError, match="RuntimeError: cut"):
+            own.declare("odd", 1, check=trusting)
+        assert own.declare("flags", [True]) == [True]
+        wrong: Any
+        for wrong in ({}, [1, "a"]):
+            with pytest.raises(TypeError, match="cannot be a parameter"):
+                await own.set({"flags": wrong})
+        with pytest.raises((TypeError, ValueError)):
+            own.declare("unset", None)
+        others = node.parameters(node.name, timeout=PATIENCE)
+        assert await others.get("nothing", "flags") in (
+            {"nothing": None, "flags": [True]},
+            {"nothing": None, "flags": None},  # rclpy tells none if one is not declared
+        )
 
 
 async def test_what_is_not_installed_is_told() -> None:

@@ -260,6 +260,9 @@ async def test_the_newest_message_of_a_topic_and_any_topic_are_read_without_a_su
         robot.subscribe("wanted", STRING)  # a topic that no one publishes
         await until(lambda: planner.topics().get(f"{weak.topic.removesuffix('map')}wanted"))
         assert (await planner.follow("wanted")).publisher_count() == 0
+        with robot.serve_service("reset", BOOL, lambda request: None):
+            reset = robot.full_name("reset")
+            await until(lambda: dict(planner._ros.services()).get(reset) == BOOL)
         with await planner.follow("map", timeout=PATIENCE) as any_of_it:
             await until(lambda: weak.reader_count() == 2)
             await until(any_of_it.publisher_count)

@@ -67,11 +67,11 @@ class TopicPublisher(ABC):
     def reader_count(self) -> int:
         """Return the number of subscriptions that are connected."""
 
+    @abstractmethod
     def has_room(self) -> bool:
         """Return whether a publisher that keeps all messages can take another one: as many as its
         depth may wait for reliable readers. Others always can.
         """
-        return True
 
     def has_arrived(self, margin: int) -> bool:
         """Return whether all messages but the newest ones, up to the margin, are known to have been
