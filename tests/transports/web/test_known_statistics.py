@@ -36,6 +36,7 @@ async def test_an_action_has_statistics_of_ten_minutes_and_of_a_span_that_the_re
             day = (await fetch(url, "GET", f"{ACTION}/stats")).json
             hour = (await fetch(url, "GET", f"{ACTION}/stats?since=1h")).json
             wrong = await fetch(url, "GET", f"{ACTION}/stats?since=soon")
+            assert (await fetch(url, "GET", f"{ACTION}/stats?since=")).status == 400
             other = await fetch(url, "GET", "/actions/other/stats")
             posted = await fetch(url, "POST", f"{ACTION}/stats")
     assert (day["waiting"], day["running"], day["past"]) == (0, 0, 2)

@@ -190,7 +190,8 @@ class RestInterface:
         self, exchange: Exchange, client: SessionClient, route: Route
     ) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        told = await self._statistics.of(endpoint, exchange.parameter("since") or ONE_DAY)
+        since = exchange.parameter("since")
+        told = await self._statistics.of(endpoint, ONE_DAY if since is None else since)
         await exchange.answer(200, told)
 
     async def _tell_intake(self, exchange: Exchange, client: SessionClient, route: Route) -> None:

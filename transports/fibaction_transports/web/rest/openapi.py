@@ -80,7 +80,7 @@ _SHARED_SCHEMAS: Json = {
         {
             "intake": _object(
                 "Only while the action is paused, or its server drains.",
-                {"mode": {"enum": ["hold", "refuse", "drain"]}, "text": _text("For people.")},
+                {"mode": _TEXT | {"enum": ["hold", "refuse", "drain"]}, "text": _text("Why.")},
             ),
             "away": _object(
                 "Only while the server of the action cannot be reached.",
