@@ -50,6 +50,7 @@ def test_which_robot_is_away(page: Page, new_robot: NewRobot, robot: RobotProces
     gone = new_robot()
     with ConsoleProcess(f"arm3={robot.url}", f"arm7={gone.url}") as console:
         begin(page, console.address)
+        expect(action(page, "arm7/fibonacci")).to_be_visible()
         gone.kill()
         expect(action(page, "arm7/").first).to_contain_text("away")
         expect(action(page, "arm3/").first).not_to_contain_text("away")
