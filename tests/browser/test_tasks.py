@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Generator
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.served import ConsoleProcess, RobotProcess, RosRobotProcess
-from tests.browser.test_console import NewRobot, action, goal, open_action, row, send
+from tests.browser.test_console import NewRobot, action, open_action, row, send
 from tests.support.ros_domain import own_domain
 
 COUNT = """
@@ -46,17 +45,6 @@ def two(new_robot: NewRobot, robot: RobotProcess) -> Generator[ConsoleProcess, N
         yield console
 
 
-def test_which_robot_is_away(page: Page, new_robot: NewRobot, robot: RobotProcess) -> None:
-    gone = new_robot()
-    with ConsoleProcess(f"arm3={robot.url}", f"arm7={gone.url}") as console:
-        begin(page, console.address)
-        expect(action(page, "arm7/fibonacci")).to_be_visible()
-        gone.kill()
-        expect(action(page, "arm7/").first).to_contain_text("away")
-        expect(action(page, "arm3/").first).not_to_contain_text("away")
-        assert clicks(page) == 0
-
-
 def test_why_the_last_goal_of_a_robot_failed(page: Page, two: ConsoleProcess) -> None:
     begin(page, two.address)
     action(page, "arm3/break").click()
@@ -78,18 +66,6 @@ def test_what_waits_and_why(page: Page, robot: RobotProcess) -> None:
     page.get_by_role("button", name="Cancel all").click()
     page.get_by_role("button", name="Cancel all").last.click()
     expect(row(page, last)).to_contain_text("canceled")
-
-
-def test_to_compare_two_runs(page: Page, robot: RobotProcess) -> None:
-    open_action(page, robot)
-    runs = [send(page, order=order) for order in ("2", "3")]
-    begin(page, f"{robot.url}/#/")
-    row(page, runs[0]).get_by_role("link", name=runs[0], exact=True).click()
-    goal(page).get_by_role("button", name="Compare", exact=True).click()
-    row(page, runs[1]).get_by_role("link", name=runs[1], exact=True).click()
-    comparison = page.get_by_role("region", name="Comparison")
-    expect(comparison).to_contain_text(re.compile(r"goal\.order\s*2\s*3"))
-    assert clicks(page) == 3
 
 
 def test_where_a_robot_is(page: Page, two: ConsoleProcess) -> None:
