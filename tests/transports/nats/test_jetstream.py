@@ -308,19 +308,26 @@ async def got(brokers: int = 1, **answers: Any) -> BrokerRecord | None:
 
 @pytest.mark.asyncio
 async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
-    assert await got(DIRECT_GET=[NO_RESPONDERS], STREAM_INFO=[MISSING]) is None
+    assert await got(DIRECT_GET=[NO_RESPONDERS], STREAM_MSG_GET=[MISSING]) is None
     assert await got(3, STREAM_MSG_GET=[MISSING]) is None
+
+
+@pytest.mark.asyncio
+async def test_a_record_of_a_stream_that_was_just_made_is_asked_of_its_leader() -> None:
+    found = {"message": {"data": "YQ==", "seq": 7}}
+    record = await got(DIRECT_GET=[NO_RESPONDERS], STREAM_MSG_GET=[found])
+    assert record == BrokerRecord(NAMES.worker("w"), b"a", 7)
 
 
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("brokers", "answers"),
     [
-        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [MADE]}),
-        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
+        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
+        (1, {"DIRECT_GET": [NO_RESPONDERS], "STREAM_MSG_GET": [NO_RESPONDERS]}),
         (1, {"DIRECT_GET": [Message("", b"", "", {"Status": "408"})]}),
         (3, {"STREAM_MSG_GET": [failed(NO_LEADER, 503)]}),
-        (3, {"STREAM_MSG_GET": [NO_RESPONDERS], "STREAM_INFO": [NO_RESPONDERS]}),
+        (3, {"STREAM_MSG_GET": [NO_RESPONDERS]}),
     ],
 )
 async def test_a_stream_that_does_not_answer_is_told_from_a_missing_record(

@@ -120,16 +120,14 @@ class NatsBroker(Broker):
         self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
+        if self.brokers > 1:
+            return await self._get_from_leader(stream, subject)
         try:
-            if self.brokers > 1:
-                return await self._get_from_leader(stream, subject)
             answer = await self._client.request(
                 f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT
             )
-        except NoResponders as exc:
-            if await jetstream.find_stream(self._client, stream) is None:
-                return None
-            raise BrokerAway(f"the stream {stream} does not answer") from exc
+        except NoResponders:  # it is missing, or was made just now
+            return await self._get_from_leader(stream, subject)
         if answer.status == "404":
             return None
         if answer.status:
@@ -137,7 +135,7 @@ class NatsBroker(Broker):
         return BrokerRecord(subject, answer.data, int(answer.headers["Nats-Sequence"]))
 
     async def _get_from_leader(self, stream: str, subject: str) -> BrokerRecord | None:
-        """Return the newest record: the other brokers, who answer as well, may have an old one."""
+        """Return the newest record. To direct requests, brokers answer that may have an old one."""
         asked = msgspec.json.encode({"last_by_subj": subject})
         try:
             answer = await jetstream.call(self._client, f"STREAM.MSG.GET.{stream}", asked)
@@ -145,6 +143,8 @@ class NatsBroker(Broker):
             if exc.code == 404:
                 return None
             raise BrokerAway(f"the stream {stream} does not answer: {exc}") from exc
+        except NoResponders as exc:
+            raise BrokerAway("JetStream does not answer") from exc
         found = answer["message"]
         return BrokerRecord(subject, base64.b64decode(found.get("data", "")), found["seq"])
 
