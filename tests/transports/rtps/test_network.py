@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import select
 import socket
 import struct
 from collections.abc import AsyncGenerator, Iterator
@@ -260,8 +261,10 @@ def read_own(network: ParticipantNetwork, count: int, source: socket.socket | No
         own.setblocking(False)
         for _ in range(count):
             own.sendto(b"not RTPS", own.getsockname())
-        for _ in range(0, count, DATAGRAMS_READ_AT_ONCE):
+        is_left = True
+        while is_left:
             network.read(own)
+            is_left = bool(select.select([own], [], [], 0)[0])
             while network.work():
                 pass
 
