@@ -223,7 +223,7 @@ async def test_a_quality_of_service_that_is_wrong_or_does_not_match_is_told(sche
             String, node.full_name("map"), heard.append, 10, event_callbacks=quiet
         )
         weak = node.publisher("map", STRING, qos="best_effort")
-        await until(lambda: node._ros.subscriptions(weak.topic))
+        await until(lambda: any(end.node for end in node._ros.subscriptions(weak.topic)))
         text = "this publisher offers best_effort, and .*stock wants reliable"
         with pytest.raises(TimeoutError, match=text):
             await weak.wait_for_reader(0.1)
@@ -258,6 +258,13 @@ async def test_values_of_parameters_have_their_types(scheme: str) -> None:
         for wrong in ({}, [1, "a"]):
             with pytest.raises(TypeError, match="cannot be a parameter"):
                 await own.set({"flags": wrong})
+        await own.set({"flags": []})
+        assert own["flags"] == []
+        with pytest.raises(ValueError, match="there is no parameter 'nothing'"):
+            await own.set({"flags": [], "nothing": 1})
+        await own.set({"flags": [True]})
+        with pytest.raises(TypeError, match="'frame' is a string: low and high are for numbers"):
+            own.declare("frame", "base", low=1)
         with pytest.raises((TypeError, ValueError)):
             own.declare("unset", None)
         others = node.parameters(node.name, timeout=PATIENCE)

@@ -8,7 +8,7 @@ import uuid
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import anyio
 import msgspec
@@ -18,6 +18,7 @@ from fibaction import (
     ActionServer,
     ConnectionLost,
     InvalidURL,
+    ProtocolError,
     TransportError,
     connect,
     serve,
@@ -27,7 +28,7 @@ from fibaction.interfaces.files import read_interface, read_message
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.source import types_source
 from fibaction.interfaces.structs import structs_of
-from fibaction_transports.ros2 import Node, open_node
+from fibaction_transports.ros2 import Node, Service, open_node
 from fibaction_transports.ros2.messaging import node as messaging_node
 from fibaction_transports.ros2.messaging import services, subscription
 from fibaction_transports.ros2.messaging.node import topic_values
@@ -142,6 +143,10 @@ class Foreign(msgspec.Struct):
     text: str = ""
 
 
+class Narrow(msgspec.Struct):
+    probes: Annotated[list[Any], msgspec.Meta(max_length=0)] = []
+
+
 async def test_wrong_types_names_and_fields_are_told_in_a_sentence(scheme: str) -> None:
     async with two_nodes(scheme) as (robot, _):
         publisher = robot.publisher("goal", "geometry_msgs/msg/Twist")
@@ -223,6 +228,21 @@ async def test_a_publisher_that_keeps_all_waits_for_a_slow_reader_and_for_no_one
                 found += [text] * (text != "other")
         assert found == [str(number) for number in range(400)]
         assert (reader.dropped, quick.dropped) == (0, 0)
+
+
+async def test_a_reader_that_keeps_all_is_bounded_beside_a_publisher_that_does_not_wait(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subscription, "LATE", 5)
+    async with two_nodes(scheme) as (robot, _):
+        slow = robot.subscribe("chatter", STRING, qos="keep_all", depth=4)
+        publisher = robot.publisher("chatter", STRING)
+        await publisher.wait_for_reader(PATIENCE)
+        for number in range(20):
+            await publisher.publish({"data": str(number)})
+        await until(lambda: slow.latest.data == "19" if slow.latest else False)
+        assert len(slow._queue) <= 9
+        assert slow.dropped == 20 - len(slow._queue)
 
 
 async def test_a_publisher_that_waits_learns_that_it_was_closed(scheme: str) -> None:
@@ -601,6 +621,8 @@ async def test_declared_parameters_are_served_checked_and_watched_at_both_ends(
             (lambda: own.declare("speed", 1.0), ValueError, "'speed' is declared already"),
             (lambda: own.declare("odd", 1, check=not_odd), ValueError, "1 is odd"),
             (lambda: own.declare("unset", None), TypeError, "'unset' needs a default"),
+            (lambda: own.declare("", 1), ValueError, "a parameter needs a name"),
+            (lambda: own.declare("arm", "a", low=1), TypeError, "low and high are for numbers"),
             (lambda: own["nothing"], KeyError, "nothing"),
         ):
             with pytest.raises(error, match=reason):
@@ -777,6 +799,9 @@ async def test_generated_messages_and_services_need_no_files(scheme: str, tmp_pa
             assert answer.probes == [probe(depth=2.0, part=part(name="leg"))]
             plain = await planner.call("ask", "probe_msgs/srv/AskDepth", timeout=PATIENCE)
             assert plain.probes[0].depth == 2.0
+            narrow = Service(service.type_name, service.request, Narrow)
+            with pytest.raises(ProtocolError, match="probes"):
+                await planner.call("ask", narrow, request)
 
 
 async def test_the_node_serves_and_calls_actions_and_leaves_them_with_their_blocks(

@@ -276,6 +276,7 @@ class Node(RosTransport):
             ValueError: The request does not fit the type; the text names the field.
             TimeoutError: There was no server, or no answer, in the seconds of the timeout.
             ConnectionLost: The node, or the server, has gone.
+            ProtocolError: The answer is not a value of the class that it is to have.
         """
         return await self._caller(self._ros.resolve(service), type_).call(request, timeout)
 

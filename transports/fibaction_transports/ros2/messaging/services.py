@@ -63,9 +63,7 @@ class CalledService:
             service,
             called.service,
             qos.services(),
-            lambda number, response: self._settle(
-                number, _Answer(self._response.from_ros(response))
-            ),
+            lambda number, response: self._settle(number, _Answer(response)),
             self._fail_all,
             lambda number: self._settle(number, _Answer(None, _unanswered(service))),
         )
@@ -99,6 +97,7 @@ class CalledService:
             ValueError: The request does not fit its type.
             TimeoutError: There was no server, or no answer, in time; the text says which.
             ConnectionLost: The node, or the server, has gone.
+            ProtocolError: The answer is not a value of the class.
         """
         try:
             message = self._request.to_ros({} if request is None else request)
@@ -144,7 +143,7 @@ class CalledService:
             self._part.forget(number)
         if answer.error is not None:
             raise ConnectionLost(f"{self._service}: {answer.error}") from answer.error
-        return answer.response
+        return self._response.from_ros(answer.response)
 
 
 def forms_of(type_: str | Service[Any, Any], called: CalledType) -> tuple[MessageForm, MessageForm]:

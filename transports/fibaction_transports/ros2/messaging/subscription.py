@@ -22,6 +22,9 @@ from fibaction_transports.ros2.qos import EndQos
 SILENCE: Final = 5.0
 """Seconds without a first message after which the log tells what does not match, if something does
 not."""
+LATE: Final = 1_000
+"""Messages that are taken although their publishers are to wait: they were on their way. A
+publisher of the same node that keeps the last ones does not wait."""
 
 T = TypeVar("T")
 
@@ -58,7 +61,7 @@ class Subscription(Closing, Generic[T]):
         self._part: TopicSubscription = ros.subscription(topic, self._type, qos, self._take)
         self._room = qos.room if self._part.can_pause else math.inf
         if self._room < math.inf:
-            self._queue = deque(self._queue)
+            self._queue = deque(self._queue, maxlen=qos.depth + LATE)
         self._forget = ros.on_loss(lambda error: self._news.notify())
 
     @property

@@ -111,11 +111,17 @@ class DeclaredParameter(Struct, frozen=True, kw_only=True):
 
     @property
     def bounds(self) -> tuple[float, float] | None:
-        """The least and the largest value; None if all values are allowed."""
+        """The least and the largest value; None if all values are allowed.
+
+        Raises:
+            TypeError: There are bounds, and the values are not numbers.
+        """
         if self.low is None and self.high is None:
             return None
-        kind = number_of(self.default)
-        ends = _INTEGERS if KINDS[kind].startswith("integer") else _DOUBLES
+        kind = KINDS[number_of(self.default)]
+        if not kind.startswith(("integer", "double")):
+            raise TypeError(f"{self.name!r} is a {kind}: low and high are for numbers")
+        ends = _INTEGERS if kind.startswith("integer") else _DOUBLES
         low, high = (
             end if one is None else type(end)(one)
             for one, end in zip((self.low, self.high), ends, strict=True)

@@ -41,6 +41,7 @@ LIVELINESS_CHANGED: Any = raw.rcl_subscription_event_type_t.RCL_SUBSCRIPTION_LIV
 GoalInfoMessage: Any = import_module("action_msgs.msg").GoalInfo
 ros_messages: Any = import_module("rcl_interfaces.msg")
 ros_parameters: Any = import_module("rclpy.parameter")
+ros_exceptions: Any = import_module("rclpy.exceptions")
 ParameterMessage: Any = import_module("rcl_interfaces.msg").Parameter
 
 _numpy: Any = import_module("numpy")

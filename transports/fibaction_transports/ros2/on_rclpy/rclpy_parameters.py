@@ -14,7 +14,7 @@ from fibaction_transports.ros2.node.own_parameters import (
     number_of,
     value_of,
 )
-from fibaction_transports.ros2.on_rclpy.rcl import ros_messages, ros_parameters
+from fibaction_transports.ros2.on_rclpy.rcl import ros_exceptions, ros_messages, ros_parameters
 
 
 class RclpyParameters(ParameterStore):
@@ -68,13 +68,20 @@ class RclpyParameters(ParameterStore):
         return value_of(self._node.get_parameter(name).get_parameter_value())
 
     def set_values(self, values: Mapping[str, ParameterValue]) -> None:
-        for value in values.values():
-            number_of(value)
-        result = self._node.set_parameters_atomically(
-            [ros_parameters.Parameter(name, value=_in_ros(one)) for name, one in values.items()]
-        )
+        made = [self._made(name, value) for name, value in values.items()]
+        try:
+            result = self._node.set_parameters_atomically(made)
+        except ros_exceptions.ParameterNotDeclaredException as exc:
+            missing = next(name for name in values if not self._node.has_parameter(name))
+            raise ValueError(f"there is no parameter {missing!r}") from exc
         if not result.successful:
             raise ValueError(result.reason)
+
+    def _made(self, name: str, value: ParameterValue) -> Any:
+        kind = ros_parameters.Parameter.Type(number_of(value))
+        if value == []:  # of any type; rclpy would take it for bytes
+            kind = self._node.get_parameter_or(name).type_
+        return ros_parameters.Parameter(name, kind, _in_ros(value))
 
     def _checked(self, parameters: Any) -> Any:
         for one in parameters:

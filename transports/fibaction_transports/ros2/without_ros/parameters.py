@@ -80,6 +80,8 @@ class NodeParameters(ParameterStore):
 
     def declare(self, parameter: DeclaredParameter) -> None:
         name, value = parameter.name, parameter.default
+        if not name:
+            raise ValueError("a parameter needs a name")
         if name in self._declared:
             raise ValueError(f"the parameter {name!r} is declared already")
         if not (number := number_of(value)):
