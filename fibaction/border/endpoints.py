@@ -228,6 +228,19 @@ class Endpoint(ABC):
             " the way to it, has no levers"
         )
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        """Run a goal again that its server has given up, as a new goal from its last checkpoint.
+        Return its ID; None if the goal was not given up, is not kept any more, or runs again
+        already.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`; the transport does not carry it.
+        """
+        raise TransportError(
+            f"goal {goal_id} of the action {self.info.name!r} cannot be run again from here: its"
+            " server, or the way to it, does not take that request"
+        )
+
     @abstractmethod
     async def wait_for_server(self) -> None:
         """Wait until this action is served, without a timeout.
@@ -356,6 +369,9 @@ class ForwardingEndpoint(Endpoint):
 
     async def change_intake(self, change: IntakeChange) -> Intake:
         return await self.inner.change_intake(change)
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return await self.inner.rerun(goal_id)
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()

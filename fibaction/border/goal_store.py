@@ -180,6 +180,10 @@ class RecordTooLarge(StoreError):
     """
 
 
+class NotGivenUp(StoreError):
+    """The goal was not given up, or runs again already; the text says which."""
+
+
 class StoreFull(RecordTooLarge):
     """The store has no room for another goal now; the text says why.
 
@@ -254,6 +258,15 @@ class PastSource:
 
         Raises:
             StoreError: It cannot be read.
+        """
+        return None
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        """Keep a new goal that runs one which was given up again, from its last checkpoint; a
+        server gets it by `claim`. Return its ID; None if the goal was not given up, or runs again.
+
+        Raises:
+            StoreError: It cannot be kept.
         """
         return None
 

@@ -361,6 +361,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
             raise TransportError(f"action {self.action.name!r} has no workers: it is not a fleet's")
         return await self._parts.levers.change(change)
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        """See `Endpoint.rerun`."""
+        self._check_running()
+        return await self._parts.past.rerun(goal_id)
+
     def _check_running(self) -> None:
         if self._phase in ("running", "stopping"):
             return

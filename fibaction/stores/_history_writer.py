@@ -102,12 +102,23 @@ class HistoryWriter(Writer):
 class HistoryJournal(SqliteJournal):
     """The goals of one action in a store that has a history."""
 
-    def __init__(self, action: str, writer: HistoryWriter, goals: Iterable[StoredGoal]) -> None:
+    def __init__(
+        self,
+        action: str,
+        writer: HistoryWriter,
+        claim: Callable[[StoredGoal], None],
+        goals: Iterable[StoredGoal],
+    ) -> None:
         """Write to a file that has these goals."""
-        super().__init__(action, writer)
+        super().__init__(action, writer, self._claim_again)
+        self._claim_goal = claim
         self._writer = writer
         self._sent = {goal.goal_id: (goal.goal, goal.meta) for goal in goals}
         """The request and the meta of each active goal, which it does not have at its end."""
+
+    def _claim_again(self, goal: StoredGoal) -> None:
+        self._sent[goal.goal_id] = goal.goal, goal.meta
+        self._claim_goal(goal)
 
     def accept(self, goal: StoredGoal, then: Then) -> None:
         self._sent[goal.goal_id] = goal.goal, goal.meta

@@ -336,11 +336,23 @@ async def rerun(path: str, action: str, goal_id: GoalID) -> GoalID:
 def _rerun(path: str, action: str, goal_id: GoalID) -> GoalID:
     failing = f"cannot run goals in {excerpt(path)} again"
     with closing(JournalFile(path, "full", failing=failing)) as file:
-        old: StoredGoal | None = file.goals().of(action).ended.get(goal_id)
-        if old is None or not old.is_given_up:
+        new = add_again(file, file.goals(), action, goal_id)
+        if new is None:
             raise StoreError(f"{failing}: goal {goal_id} was not given up")
-        new, ended = old.as_new(time.time_ns()), copy(old)
-        ended.drop_request()
-        records = [WholeRecord(action, new), WholeRecord(action, ended)]
-        file.add(encode_row(file.next_number, list(records)))
     return new.goal_id
+
+
+def add_again(
+    file: JournalFile, goals: KeptGoals, action: str, goal_id: GoalID
+) -> StoredGoal | None:
+    """Add a goal to a file, which has these goals, for one that was given up, and return it; None
+    if it was not.
+    """
+    old: StoredGoal | None = goals.of(action).ended.get(goal_id)
+    if old is None or not old.is_given_up:
+        return None
+    new, ended = old.as_new(time.time_ns()), copy(old)
+    ended.drop_request()
+    records = [WholeRecord(action, new), WholeRecord(action, ended)]
+    file.add(encode_row(file.next_number, list(records)))
+    return new

@@ -34,6 +34,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, TypeAlias
 
 import anyio
+from anyio import CancelScope
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.event_loop import asyncio_task
@@ -48,6 +49,7 @@ from fibaction.stores.journal_rows import (
     moved,
 )
 from fibaction.words.errors import StoreError
+from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:
     import sqlite3
@@ -140,6 +142,17 @@ class Writer:
         if not kept:  # which the next goal will be told, too: the store has not failed
             raise StoreError(f"the disk has no room for the intake in {excerpt(self._path)}")
         return kept[0]
+
+    async def rerun(self, action: str, goal_id: GoalID) -> StoredGoal | None:
+        """Add a goal to the file for one that was given up, and return it; None if it was not.
+
+        Raises:
+            StoreError: A write has failed.
+        """
+        added: list[StoredGoal | None] = []
+        if error := await self._do(partial(self._rerun, action, goal_id, added)):
+            raise StoreError(error)
+        return added.pop()  # the thread has the list until its next command
 
     async def finish(self, action: str) -> None:
         """Wait until everything that was written is told; the action is no longer open."""
@@ -259,6 +272,12 @@ class Writer:
         if not self._file.write(write):
             kept.clear()
 
+    def _rerun(self, action: str, goal_id: GoalID, added: list[StoredGoal | None]) -> None:
+        from fibaction.stores._journal_file import add_again
+
+        assert self._file is not None
+        added.append(add_again(self._file, self._goals(), action, goal_id))
+
     def _clean(self) -> None:
         """Make the file smaller, if need be, after the clients were told."""
         assert self._file is not None
@@ -298,8 +317,10 @@ def _tell(batch: Batch, error: str) -> None:
 class SqliteJournal(GoalJournal):
     """The goals of one action in a `SqliteStore` that is open."""
 
-    def __init__(self, action: str, writer: Writer) -> None:
+    def __init__(self, action: str, writer: Writer, claim: Callable[[StoredGoal], None]) -> None:
         self._action = action
+        self._claim = claim
+        self._add_again = partial(writer.rerun, action)
         self._write = writer.write
         self._change_intake = partial(writer.change_intake, action)
 
@@ -323,3 +344,12 @@ class SqliteJournal(GoalJournal):
 
     async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
         return await self._change_intake(change)
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        new: StoredGoal | None = None
+        with CancelScope(shield=True):  # a goal that is in the file is also to run
+            new = await self._add_again(goal_id)
+        if new is None:
+            return None
+        self._claim(new)
+        return new.goal_id

@@ -93,7 +93,7 @@ class SqliteStore(GoalStore):
         try:
             slices = Slices()
             goals = await writer.load(action, max_results)
-            journal = self._journal(action, writer, goals)
+            journal = self._journal(action, writer, claim, goals)
             for goal in goals:
                 claim(goal)
                 await slices.pause()
@@ -128,15 +128,22 @@ class SqliteStore(GoalStore):
 
         return HistoryWriter(self._path, self._sync, self._history)
 
-    def _journal(self, action: str, writer: Writer, goals: list[StoredGoal]) -> GoalJournal:
+    def _journal(
+        self,
+        action: str,
+        writer: Writer,
+        claim: Callable[[StoredGoal], None],
+        goals: list[StoredGoal],
+    ) -> GoalJournal:
         if self._history is None:
             from fibaction.stores._writer import SqliteJournal
 
-            return SqliteJournal(action, writer)
+            return SqliteJournal(action, writer, claim)
         from fibaction.stores._history_writer import HistoryJournal, HistoryWriter
 
         assert isinstance(writer, HistoryWriter)
-        return HistoryJournal(action, writer, (goal for goal in goals if goal.status.is_active))
+        active = (goal for goal in goals if goal.status.is_active)
+        return HistoryJournal(action, writer, claim, active)
 
     async def _end(self, action: str, writer: Writer) -> None:
         """Wait for the writes that are under way; the last action ends the thread."""

@@ -456,6 +456,18 @@ async def test_an_endpoint_has_no_levers_unless_it_says_so_and_a_wrapper_has_the
 
 
 @pytest.mark.asyncio
+async def test_an_endpoint_runs_no_goal_again_unless_it_says_so_as_a_wrapper_of_one() -> None:
+    class Again(OneGoal):
+        async def rerun(self, goal_id: GoalID) -> GoalID | None:
+            return goal_id
+
+    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    with pytest.raises(TransportError, match="cannot be run again from here"):
+        await inner.rerun(KNOWN)
+    assert await ForwardingEndpoint(Again(inner.stream)).rerun(KNOWN) == KNOWN
+
+
+@pytest.mark.asyncio
 async def test_a_wrapper_with_a_history_of_its_own_has_it_read_as_a_whole() -> None:
     class Past(ForwardingEndpoint):
         async def past_goals(self, page: PastPage) -> list[GoalInfo]:

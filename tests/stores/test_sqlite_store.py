@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from contextlib import closing
+from copy import copy
 from functools import partial
 from pathlib import Path
 
@@ -173,6 +174,40 @@ async def test_a_store_that_has_failed_changes_no_intake(path: Path) -> None:
         for change in (fail, bytes):
             with pytest.raises(StoreError, match="the disk is gone"):
                 await kept.journal.change_intake(change)
+
+
+@pytest.mark.parametrize("history", [None, GoalHistory()], ids=["alone", "with a history"])
+async def test_a_goal_that_was_given_up_comes_back_once_as_a_new_one(
+    path: Path, history: GoalHistory | None
+) -> None:
+    old = after_end(a_goal(), status=GoalStatus.ABORTED, goal=b"goal", checkpoint=b"half")
+    async with opened(SqliteStore(path, history=history)) as kept:
+        await kept(kept.journal.accept, a_goal(checkpoint=b"half"))
+        await kept(kept.journal.end, old)
+        new_id = await kept.journal.rerun(old.goal_id)
+        [new] = kept.found
+        assert (new.goal_id, new.goal, new.checkpoint) == (new_id, b"goal", b"half")
+        assert await kept.journal.rerun(old.goal_id) is None
+        assert await kept.journal.rerun(new.goal_id) is None
+        if history is not None:
+            await kept(kept.journal.end, after_end(copy(new), ended_at=time.time_ns()))
+            past = await kept.journal.past_goal(new.goal_id)
+            assert past is not None
+            assert (past.goal, past.meta) == (b"goal", new.meta)
+    async with opened(SqliteStore(path, history=history)) as kept:
+        assert [goal.is_given_up for goal in kept.found] == [False, False]
+
+
+async def test_a_store_that_has_failed_runs_no_goal_again(path: Path) -> None:
+    async with opened(SqliteStore(path)) as kept:
+
+        def fail(_before: bytes) -> bytes:
+            raise StoreError("the disk is gone")
+
+        with pytest.raises(StoreError):
+            await kept.journal.change_intake(fail)
+        with pytest.raises(StoreError, match="the disk is gone"):
+            await kept.journal.rerun(a_goal().goal_id)
 
 
 async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None:

@@ -36,6 +36,8 @@ from fibaction.wire.messages import (
     Places,
     Received,
     Rejected,
+    Rerun,
+    RunsAgain,
     SendGoal,
     StatusChanged,
     Watching,
@@ -130,8 +132,12 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "971c09a96669626f6e61636369a4686f6c64a473776170a3616e6ea0",
     ),
     (
-        Welcome(1, 1.0, 65536, 15.0, 28),
-        "962001cb3ff0000000000000ce00010000cb402e0000000000001c",
+        Rerun(10, "fibonacci", GOAL_ID),
+        "941d0aa96669626f6e61636369c410000102030405060708090a0b0c0d0e0f",
+    ),
+    (
+        Welcome(1, 1.0, 65536, 15.0, 29),
+        "962001cb3ff0000000000000ce00010000cb402e0000000000001d",
     ),
     (
         Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT, {"order": "17"}),
@@ -212,5 +218,9 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
             "c41681b07061727469616c5f73657175656e636593000101"
             "92cf17979cfe362a0000cf17979cfe362a0005"
         ),
+    ),
+    (
+        RunsAgain(10, GOAL_ID),
+        "93310ac410000102030405060708090a0b0c0d0e0f",
     ),
 ]

@@ -31,6 +31,7 @@ from fibaction.wire.messages import (
     Operate,
     Ping,
     Rejected,
+    RunsAgain,
     SendGoal,
     WatchStatus,
     Welcome,
@@ -241,7 +242,7 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
 
 
 def test_a_client_ignores_messages_of_a_newer_kind_and_no_others() -> None:
-    for newer in (packed(49), packed(200, 3, "more", {"any": b"thing"}), packed(2**40, None)):
+    for newer in (packed(50), packed(200, 3, "more", {"any": b"thing"}), packed(2**40, None)):
         assert decode_from_server(newer) == Ping()
         with pytest.raises(ProtocolError):
             decode_from_client(newer)
@@ -274,6 +275,7 @@ NULLABLE = {
     (CancelGoals, "goal_id"),
     (CancelGoals, "stamp"),
     (Operate, "mode"),
+    (RunsAgain, "new_id"),
     (Ended, "result"),
     (Ended, "ended_at"),
     (Feedback, "at"),

@@ -10,6 +10,7 @@ import pytest
 from fibaction import (
     ActionServer,
     AuthenticationFailed,
+    GoalID,
     Peer,
     Permission,
     ServerNotFound,
@@ -17,6 +18,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.border.abc import ForwardingEndpoint
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.server import session
 from fibaction.words.intake import OPEN_INTAKE, Intake, IntakeChange, IntakeMode
@@ -25,7 +27,15 @@ from tests.support.fibonacci import FIBONACCI, fibonacci
 pytestmark = pytest.mark.anyio
 
 TCP = "tcp://127.0.0.1:0"
+OLD_ID, GOAL_ID = GoalID.random(), GoalID.random()
 PAUSE = IntakeChange(IntakeMode.HOLD, "wet floor", "ann")
+
+
+class Again(ForwardingEndpoint):
+    """A server that runs one goal again, once."""
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return GOAL_ID if goal_id == OLD_ID else None
 
 
 @pytest.fixture
@@ -54,7 +64,15 @@ async def test_only_a_client_that_may_operate_changes_anything(server: Any) -> N
         async with connect(url, FIBONACCI) as client:
             with pytest.raises(AuthenticationFailed, match="may not operate"):
                 await client.endpoint.change_intake(PAUSE)
+            with pytest.raises(AuthenticationFailed, match="may not operate"):
+                await client.endpoint.rerun(OLD_ID)
             assert await client.endpoint.intake() == Intake()
+
+
+async def test_a_goal_that_was_given_up_runs_again_as_another_one(server: Any) -> None:
+    async with serve(Again(server), TCP) as (url,), connect(url, FIBONACCI) as client:
+        assert await client.endpoint.rerun(OLD_ID) == GOAL_ID
+        assert await client.endpoint.rerun(GOAL_ID) is None
 
 
 async def test_a_server_of_an_earlier_version_is_not_asked(
@@ -65,6 +83,8 @@ async def test_a_server_of_an_earlier_version_is_not_asked(
         assert await client.endpoint.intake() is OPEN_INTAKE
         with pytest.raises(TransportError, match="earlier version"):
             await client.endpoint.change_intake(PAUSE)
+        with pytest.raises(TransportError, match="earlier version, and runs no goal again"):
+            await client.endpoint.rerun(OLD_ID)
 
 
 async def test_before_the_first_connection_nothing_is_changed() -> None:

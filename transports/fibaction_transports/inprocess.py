@@ -225,6 +225,9 @@ class _NamedEndpoint(Endpoint):
     async def change_intake(self, change: IntakeChange) -> Intake:
         return await self._server.change_intake(change)
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return await self._server.rerun(goal_id)
+
     async def wait_for_server(self) -> None:
         name, place = self._info.name, self._connection.place
         while True:

@@ -81,6 +81,21 @@ class PastGoals:
         log = FeedbackLog(self._facts(past), payload=past.goal)
         return log.follow(own=own, after=after, attempt=attempt)
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        """See `Endpoint.rerun`.
+
+        Raises:
+            ServerFailed: The new goal cannot be kept.
+        """
+        try:
+            new = await self._keeper.past.rerun(goal_id)
+        except StoreError as exc:
+            logger.error("goal %s of %r cannot be run again: %s", goal_id, self._action, exc)
+            raise ServerFailed("the server cannot keep that the goal runs again") from exc
+        if new is not None:
+            logger.warning("goal %s of %r runs again as goal %s", goal_id, self._action, new)
+        return new
+
     async def _find(self, goal_id: GoalID) -> StoredGoal | None:
         try:
             return await self._keeper.past.past_goal(goal_id)

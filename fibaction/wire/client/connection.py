@@ -289,6 +289,9 @@ class RemoteEndpoint(Endpoint):
     async def change_intake(self, change: IntakeChange) -> Intake:
         return await self._calls.operate(self._info.name, change)
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return await self._calls.rerun(self._info.name, goal_id)
+
     @property
     def absence(self) -> Absence | None:
         return self._reconnector.absence

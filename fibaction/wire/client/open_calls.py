@@ -47,6 +47,8 @@ from fibaction.wire.messages import (
     Operate,
     Operated,
     Places,
+    Rerun,
+    RunsAgain,
     SendGoal,
     Watching,
     WatchStatus,
@@ -73,6 +75,8 @@ the same time."""
 
 OPERATE = 28
 """The tag of `Operate`, which servers of earlier versions do not know."""
+RERUN = 29
+"""The tag of `Rerun`, which servers of earlier versions do not know."""
 
 
 class PastCall(Call):
@@ -253,9 +257,7 @@ class OpenCalls:
         if self._newest < OPERATE:
             if change is None:
                 return OPEN_INTAKE
-            if self._newest:
-                raise TransportError("the server is of an earlier version, and cannot be paused")
-            raise ServerNotFound("the server has not answered yet")
+            raise self._not_known("and cannot be paused")
 
         def opening(call_id: int) -> Operate:
             if change is None:
@@ -266,6 +268,26 @@ class OpenCalls:
         answer: Operated = await self.ask(opening, Operated)
         changes = (IntakeChange(*one) for one in answer.changes[:MOST_CHANGES])
         return Intake(answer.mode, tuple(changes))
+
+    async def rerun(self, action: str, goal_id: GoalID) -> GoalID | None:
+        """Run a goal again that was given up, and return the ID of the new one.
+
+        Raises:
+            ActionError: As for `ask`.
+            TransportError: The server is older, and cannot do so.
+        """
+        if self._newest < RERUN:
+            raise self._not_known("and runs no goal again")
+        answer: RunsAgain = await self.ask(
+            lambda call_id: Rerun(call_id, action, goal_id), RunsAgain
+        )
+        return None if answer.new_id is None else GoalID(answer.new_id)
+
+    def _not_known(self, consequence: str) -> TransportError:
+        """Return the error of a request that the server does not know."""
+        if self._newest:
+            return TransportError(f"the server is of an earlier version, {consequence}")
+        return ServerNotFound("the server has not answered yet")
 
     async def past_goals(self, action: str, page: PastPage) -> list[GoalInfo]:
         """Return a page of the history of an action.

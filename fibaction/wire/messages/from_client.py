@@ -203,6 +203,17 @@ class Operate(WireMessage, tag=28):
     """Name of the only worker of a fleet that it is about, at a gateway; empty for all."""
 
 
+@final
+class Rerun(WireMessage, tag=29):
+    """Request to run a goal again that was given up, as a new goal from its last checkpoint.
+    Answered by `RunsAgain` or `Failed`. Sent only if `newest` of `Welcome` is 29 or more.
+    """
+
+    id: ID
+    action: str
+    goal_id: GoalBytes
+
+
 FromClient: TypeAlias = (
     Hello
     | SendGoal
@@ -217,6 +228,7 @@ FromClient: TypeAlias = (
     | AskPeers
     | AskPlaces
     | Operate
+    | Rerun
     | Ping
     | Goodbye
 )

@@ -267,6 +267,15 @@ class Operated(WireMessage, tag=47):
     """Newest changes, newest first: mode, reason, operator, and time in nanoseconds since 1970."""
 
 
+@final
+class RunsAgain(WireMessage, tag=49):
+    """The new goal for one that was given up. Answers `Rerun`; the last message of that ID."""
+
+    id: ID
+    new_id: GoalBytes | None
+    """ID of the new goal; nil if the goal was not given up, is not kept any more, or runs again."""
+
+
 FromServer: TypeAlias = (
     Welcome
     | Following
@@ -285,6 +294,7 @@ FromServer: TypeAlias = (
     | Peers
     | Places
     | Operated
+    | RunsAgain
     | Ping
     | Goodbye
 )

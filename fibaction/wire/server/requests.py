@@ -42,6 +42,8 @@ from fibaction.wire.messages import (
     Operated,
     Peers,
     Places,
+    Rerun,
+    RunsAgain,
     Watching,
     WatchStatus,
     parent_fields,
@@ -55,10 +57,19 @@ from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction.words.statuses import GoalStatus
 
 Request: TypeAlias = (
-    CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces | Operate
+    CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces | Operate | Rerun
 )
 Answer: TypeAlias = (
-    CancelAnswered | Done | Watching | GoalChanged | Finished | Actions | Peers | Places | Operated
+    CancelAnswered
+    | Done
+    | Watching
+    | GoalChanged
+    | Finished
+    | Actions
+    | Peers
+    | Places
+    | Operated
+    | RunsAgain
 )
 
 PART = 256
@@ -111,6 +122,7 @@ class RequestHandlers:
             AskPeers: self._ask_peers,
             AskPlaces: self._ask_places,
             Operate: self._operate,
+            Rerun: self._rerun,
         }
 
     def limit_for(self, request: Request) -> str:
@@ -280,6 +292,12 @@ class RequestHandlers:
                 intake = await endpoint.change_intake(change)
             changes = [(one.mode, one.reason, one.by, one.at) for one in intake.changes]
             await self._say(Operated(message.id, intake.mode, changes))
+
+    async def _rerun(self, message: Rerun, _subscription: RequestSubscription) -> None:
+        endpoint = await self._find(message.action, Permission.OPERATE)
+        async with self._listing:
+            new = await endpoint.rerun(GoalID(message.goal_id))
+            await self._say(RunsAgain(message.id, new))
 
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
         async with self._listing:

@@ -117,3 +117,5 @@ async def test_a_history_that_cannot_be_read_is_a_lost_connection(
         fleet.broker.is_away = True
         with pytest.raises(ConnectionLost, match="the history of the fleet cannot be read"):
             await endpoint.past_goals(PastPage())
+        with pytest.raises(ConnectionLost, match=f"the record of goal {GOAL_ID} cannot be read"):
+            await endpoint.rerun(GOAL_ID)

@@ -10,7 +10,8 @@ from anyio import sleep
 
 from fibaction import ConnectionLost, GoalStatus, StoreError
 from fibaction.border.goal_store import StoredGoal
-from fibaction_transports.nats.client.connection import given_up_goals, rerun_goal
+from fibaction_transports.nats.history.fleet_history import FleetHistory
+from fibaction_transports.nats.history.given_up import given_up_goals, rerun_goal
 from fibaction_transports.nats.worker.record_writes import SECOND
 from tests.support.memory_broker import MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
@@ -72,6 +73,16 @@ async def test_what_was_not_given_up_does_not_run_again() -> None:
             await rerun("count", keep_again.goal_id)
 
 
+async def test_an_endpoint_and_a_worker_run_one_again_or_tell_that_it_was_not_given_up() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        keep(shared, given_up())
+        history = FleetHistory(shared.member(), NAMES, "count")
+        new = await history.rerun(given_up().goal_id)
+        (claimed,) = await a.claims(1, within=1)
+        assert claimed.goal_id == new
+        assert await history.rerun(given_up().goal_id) is None
+
+
 async def test_brokers_that_are_away_are_an_error() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
@@ -79,6 +90,8 @@ async def test_brokers_that_are_away_are_an_error() -> None:
         rerun = partial(rerun_goal, broker, NAMES)
         with pytest.raises(ConnectionLost, match="the goals of the fleet cannot be listed: "):
             await given_up_goals(broker, NAMES)
+        with pytest.raises(StoreError, match="cannot be read"):
+            await FleetHistory(broker, NAMES, "count").rerun(goal().goal_id)
         with pytest.raises(ConnectionLost, match="the record of goal 0101"):
             await rerun("count", given_up().goal_id)
 

@@ -362,6 +362,9 @@ class FleetEndpoint(Endpoint):
             raise self._parts.workers.not_served(self._info.name)
         return min(answers, key=lambda intake: intake.mode is IntakeMode.DRAIN)
 
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return await self._in_history(self._history.rerun(goal_id))
+
     async def wait_for_server(self) -> None:
         workers = self._parts.workers
         while True:

@@ -23,12 +23,13 @@ from heapq import nlargest, nsmallest
 import anyio
 
 from fibaction.border.event_loop import Slices
-from fibaction.border.goal_store import PastSource, StoredGoal
+from fibaction.border.goal_store import NotGivenUp, PastSource, StoredGoal
 from fibaction.border.peer_text import clean_logger
-from fibaction.words.errors import ProtocolError, StoreError
+from fibaction.words.errors import ConnectionLost, ProtocolError, StoreError
 from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
+from fibaction_transports.nats.history.given_up import rerun_goal
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import past_goal
 
@@ -108,6 +109,15 @@ class FleetHistory(PastSource):
         except BrokerAway as exc:
             raise StoreError(f"the history of the fleet cannot be read: {exc}") from exc
         return newest
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        """See `PastSource.rerun`: one of the workers gets the new goal."""
+        try:
+            return await rerun_goal(self._broker, self._names, self.action, goal_id)
+        except NotGivenUp:
+            return None
+        except ConnectionLost as exc:
+            raise StoreError(str(exc)) from exc
 
 
 async def _next(watch: BrokerWatch) -> list[BrokerRecord] | None:

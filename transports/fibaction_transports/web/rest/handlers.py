@@ -104,6 +104,7 @@ class RestInterface:
             (Resource.GOAL, "PUT"): self._send_goal,
             (Resource.GOAL, "DELETE"): self._cancel_goal,
             (Resource.EVENTS, "GET"): self._follow_goal,
+            (Resource.RERUN, "POST"): self._rerun_goal,
             (Resource.SEARCH, "GET"): self._search_goals,
         }
 
@@ -341,6 +342,15 @@ class RestInterface:
                 return
             events = _events_of(endpoint, has_times=times == "true")
             await tell_goal(exchange, events, stream, 200)
+
+    async def _rerun_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OPERATE)
+        new = await endpoint.rerun(route.goal_id)
+        if new is None:
+            text = f"goal {route.goal_id} was not given up, is not kept any more, or runs again"
+            raise Refused(409, text)
+        location = ("Location", f"{exchange.root}/actions/{route.action}/goals/{new}")
+        await exchange.answer(201, msgspec.json.encode({"goal_id": str(new)}), location)
 
     # Cancels
 

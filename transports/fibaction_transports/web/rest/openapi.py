@@ -146,6 +146,7 @@ _PROBLEM = {
     "content": {"application/problem+json": {"schema": {"$ref": SHARED + "Problem"}}},
 }
 _PROBLEMS = {"4XX": _PROBLEM, "default": _PROBLEM}
+_RERUN = {"type": "object", "required": ["goal_id"], "properties": {"goal_id": _ONE_ID}}
 _GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
 
 
@@ -267,6 +268,8 @@ _DESCRIPTIONS = {
     "status": "The status, and the result once the goal has ended; with `wait`, the answer waits"
     " for the end.",
     "cancel": "Asks the goal to stop. It ends when its executor has cleaned up.",
+    "rerun": "Runs a goal that was given up again, as a new goal from its last checkpoint, and"
+    " tells the ID of that. It needs the permission `OPERATE`.",
     "events": "The events of a goal, from its first feedback or from the one after `after`.",
 }
 
@@ -366,6 +369,10 @@ class _Described:
         paths[f"{base}/intake"] = self._intake()
         paths[f"{base}/goals"] = self._goals()
         paths[f"{base}/goals/{{goal_id}}"] = self._one_goal()
+        again = {"201": _answer("The goal runs again.", _RERUN)}
+        paths[f"{base}/goals/{{goal_id}}/rerun"] = {
+            "post": self._operation("rerun", "Run a given-up goal again.", again, _GOAL_ID)
+        }
         events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
         paths[f"{base}/goals/{{goal_id}}/events"] = {
             "get": self._operation("events", "Follow a goal.", events, _GOAL_ID, _AFTER, _TIMES)

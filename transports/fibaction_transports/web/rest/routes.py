@@ -30,6 +30,7 @@ class Resource(Enum):
     GOALS = auto()
     GOAL = auto()
     EVENTS = auto()
+    RERUN = auto()
     SEARCH = auto()
 
 
@@ -42,6 +43,7 @@ METHODS = {
     Resource.GOALS: ("GET", "POST", "DELETE"),
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
+    Resource.RERUN: ("POST",),
     Resource.SEARCH: ("GET",),
 }
 """The methods of each resource; HEAD is GET without the body of the answer."""
@@ -75,6 +77,7 @@ class Route:
 
 _PATHS = {
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/events"): Resource.EVENTS,
+    re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/rerun"): Resource.RERUN,
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)"): Resource.GOAL,
     re.compile(r"/actions/(?P<action>.+)/goals"): Resource.GOALS,
     re.compile(r"/actions/(?P<action>.+)/stats"): Resource.STATISTICS,
@@ -109,7 +112,8 @@ def allowed_at(path: str, served: Container[str]) -> str:
         Refused: Nothing is there.
     """
     own = METHODS[_route_of(path, served).resource]
-    return ", ".join([*own[:1], "HEAD", *own[1:], "OPTIONS"])
+    head = ("HEAD",) if "GET" in own else ()
+    return ", ".join([*own[:1], *head, *own[1:], "OPTIONS"])
 
 
 def check_parameters(query: Iterable[str], route: Route, method: str) -> None:

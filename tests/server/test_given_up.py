@@ -1,0 +1,80 @@
+"""A goal that was given up runs again at its server, which keeps running."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncGenerator
+from contextlib import closing
+from pathlib import Path
+
+import anyio
+import pytest
+
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    GoalHandle,
+    GoalID,
+    GoalStatus,
+    ServerFailed,
+    SqliteStore,
+    StoreError,
+)
+from fibaction.border.goal_store import StoredGoal
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores._writer import SqliteJournal
+from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+
+pytestmark = pytest.mark.anyio
+
+PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
+OLD_ID = GoalID(bytes(range(16)))
+
+
+async def paint(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
+    yield f"{goal.request} from {goal.restored}"
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> ActionServer[int, int, str]:
+    """A server whose store has a goal that was given up at its checkpoint 4."""
+    path = tmp_path / "goals.db"
+    goal = PAINT.goal.encode(9)
+    old = StoredGoal(OLD_ID, 1, UNKNOWN_SENDER, digest_of(goal), goal, checkpoint=b"\x04")
+    old.status, old.reason, old.ended_at = GoalStatus.ABORTED, "lost", time.time_ns()
+    with closing(JournalFile(str(path), "full")) as file:
+        file.add(encode_row(file.next_number, [WholeRecord("paint", old)]))
+    return ActionServer(PAINT, paint, store=SqliteStore(path))
+
+
+async def test_it_runs_once_as_a_new_goal_from_its_last_checkpoint(
+    server: ActionServer[int, int, str],
+) -> None:
+    with anyio.fail_after(30):
+        async with server:
+            new = await server.rerun(OLD_ID)
+            assert new is not None
+            assert await server.rerun(OLD_ID) is None
+            await anyio.wait_all_tasks_blocked()
+            outcome = await (await ActionClient(server, PAINT).attach(new)).outcome()
+            assert outcome.result == "9 from 4"
+            assert (await server.get_result(OLD_ID)).reason == "lost"
+
+
+async def test_a_server_without_a_store_has_given_up_none() -> None:
+    async with ActionServer(PAINT, paint) as server:
+        assert await server.rerun(OLD_ID) is None
+
+
+async def test_a_store_that_cannot_keep_it_fails_the_request(
+    server: ActionServer[int, int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fail(*_: object) -> None:
+        raise StoreError("a secret place is full")
+
+    monkeypatch.setattr(SqliteJournal, "rerun", fail)
+    async with server:
+        with pytest.raises(ServerFailed, match=r"^the server cannot keep that the goal runs again"):
+            await server.rerun(OLD_ID)
