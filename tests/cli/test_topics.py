@@ -147,7 +147,9 @@ def test_a_service_is_called_and_its_answer_printed(robot: Robot, here: Run) -> 
         return {"success": request.data, "message": "done"}
 
     with robot.do(partial(robot.node.serve_service, "/reset", BOOL, answer)):
-        assert "/reset\n" in here("service", "list", "-u", "dds://").out
+        listed = here("service", "list", "-u", "dds://").out
+        assert "/reset\n" in listed
+        assert "/fibaction_" not in listed  # the node that lists them
         assert f"/reset [{BOOL}]\n" in here("service", "list", "-t", "-u", "dds://").out
         call = ("service", "call", "/reset", BOOL, "data: true", "-u", "dds://")
         assert here(*call) == (0, "success: true\nmessage: done\n", "")
@@ -158,13 +160,14 @@ def test_parameters_are_listed_read_dumped_and_refused(robot: Robot, here: Run) 
     at = ("-u", "dds://")
     for name, value, told in (
         ("aim", 0.5, "Double value is: 0.5"),
+        ("label", "a", "String value is: a"),
         ("names", ["a"], "String values are: ['a']"),
         ("raw", b"a", "Byte values are: b'a'"),
         ("wheels", 4, "Integer value is: 4"),
     ):
         robot.do(robot.node.parameters().declare, name, value)
         assert here("param", "get", "/robot", name, *at).out == f"{told}\n"
-    names = "  aim\n  names\n  raw\n  use_sim_time\n  wheels\n"
+    names = "  aim\n  label\n  names\n  raw\n  use_sim_time\n  wheels\n"
     assert here("param", "list", "/robot", *at) == (0, names, "")
     assert here("param", "list", *at) == (0, f"/robot:\n{names}", "")
     assert here("param", "get", "/robot", "use_sim_time", *at).out == "Boolean value is: False\n"
@@ -175,8 +178,11 @@ def test_parameters_are_listed_read_dumped_and_refused(robot: Robot, here: Run) 
     assert here("param", "set", "/robot", "names", "[]", *at) == done
     assert here("param", "get", "/robot", "names", *at).out == "Empty values are: []\n"
     assert here("param", "set", "/robot", "aim", "1.5", *at) == done
+    assert here("param", "set", "/robot", "label", "", *at) == done
     dumped = here("param", "dump", "/robot", *at).out
-    assert dumped.startswith("/robot:\n  ros__parameters:\n    aim: 1.5\n    names: []\n")
+    assert dumped.startswith(
+        "/robot:\n  ros__parameters:\n    aim: 1.5\n    label: ''\n    names: []\n"
+    )
     for verb, text in (
         (("get", "/robot", "speed"), "/robot has no parameter 'speed'"),
         (("set", "/robot", "speed", "1"), "there is no parameter 'speed', only 'use_sim_time'"),

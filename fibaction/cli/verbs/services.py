@@ -42,6 +42,8 @@ def list_services(show_types: bool, is_all: bool, as_json: bool, url: str) -> No
 
     async def act(node: Any) -> None:
         found: dict[str, str] = await settled(node, lambda view: dict(view.services()))
+        own = f"{node.name}/"
+        found = {name: kind for name, kind in found.items() if not name.startswith(own)}
         say_names(found, "service", is_all=is_all, show_types=show_types, as_json=as_json)
 
     run_at(url, act)
@@ -179,7 +181,7 @@ def dump_parameters(node_name: str, timeout: float, url: str) -> None:
 @url_option
 def set_parameter(node_name: str, name: str, value: str, timeout: float, url: str) -> None:
     """Set the parameter NAME of NODE to VALUE, which is YAML."""
-    read = read_yaml(value, "value")
+    read = read_yaml(value, "value") if value else ""
 
     async def act(node: Any) -> None:
         try:
