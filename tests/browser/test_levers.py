@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
+from fibaction import GoalID, GoalStatus
+from fibaction.border.goal_store import StoredGoal
+from fibaction.stores._journal_file import JournalFile
+from fibaction.stores.journal_rows import WholeRecord, encode_row
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from tests.browser.archive import VARNISH, Paint
 from tests.browser.served import ArchiveProcess
 from tests.browser.test_console import NewRobot, action, goal, open_action, send
 
@@ -92,3 +100,24 @@ def test_the_p95_of_today_is_three_clicks_away(page: Page, archive: ArchiveProce
     page.get_by_text("Numbers", exact=True).click()
     expect(page.locator(".failures")).to_have_text("23 goals of paint: the can is empty")
     expect(page.locator(".numbers .note").last).to_contain_text("are counted: varnish.")
+
+
+def test_a_goal_that_was_given_up_runs_again_after_a_question(page: Page, tmp_path: Path) -> None:
+    payload = VARNISH.goal.encode(Paint(7))
+    old = StoredGoal(GoalID.random(), 1, UNKNOWN_SENDER, digest_of(payload), payload)
+    old.status, old.ended_at = GoalStatus.ABORTED, time.time_ns()
+    old.reason = "given up after 3 attempts: the server was restarted"
+    with closing(JournalFile(str(tmp_path / "goals.db"), "full")) as file:
+        file.add(encode_row(file.next_number, [WholeRecord("varnish", old)]))
+    with ArchiveProcess(tmp_path) as robot:
+        page.goto(f"{robot.url}/#/varnish/{old.goal_id}")
+        again = page.get_by_role("button", name="Run again from its checkpoint")
+        again.click()
+        is_accessible(page)
+        page.get_by_role("dialog").get_by_role("button", name="Run again").click()
+        expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
+        expect(again).to_be_hidden()
+        page.goto(f"{robot.url}/#/varnish/{old.goal_id}")
+        again.click()
+        page.get_by_role("dialog").get_by_role("button", name="Run again").click()
+        expect(page.get_by_role("alert")).to_contain_text("was not given up")

@@ -66,6 +66,7 @@ export class ActionPage {
         oncancel: (one) => this.cancel(one),
         onagain: this.store.isRecording ? null : (one) => this.useAgain(one),
         onretry: (one) => this.retry(one),
+        onrerun: (one) => this.rerun(one),
         onlabel: (label) => this.choose(label),
       });
       this.place.replaceChildren(this.view.element);
@@ -133,6 +134,20 @@ export class ActionPage {
         openLink(linkTo(sent.action, sent.id));
       } catch (error) {
         this.fail(error.reason ? `Rejected: ${error.reason}` : error.message);
+      }
+    }
+  }
+
+  /** Run a goal again that was given up, after a question. */
+  async rerun(record) {
+    const text = `The server runs goal ${shortId(record.id)} of ${record.action} again, as a new goal from its last checkpoint.`;
+    if (await confirmed("Run this goal again?", text, "Run again", "Do not run")) {
+      try {
+        const id = await this.store.rerun(record);
+        this.fail("");
+        openLink(linkTo(record.action, id));
+      } catch (error) {
+        this.fail(error.message);
       }
     }
   }

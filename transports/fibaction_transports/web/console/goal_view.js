@@ -12,9 +12,11 @@ import { Topics } from "./topics.js";
 import { textOf } from "./values.js";
 
 const A_LINE = 24;
+/** The reasons of goals that a server has given up (see `LostAttempts` and `Recovery` there). */
+const GIVEN_UP = /^(given up after |the server was restarted$|the worker .+ was lost$|the stored goal does not fit )/;
 
 export class GoalView {
-  constructor(record, { store, oncancel, onagain, onretry, onlabel }) {
+  constructor(record, { store, oncancel, onagain, onretry, onrerun, onlabel }) {
     this.store = store;
     this.mayUseAgain = Boolean(onagain);
     this.family = new GoalFamily(store);
@@ -36,6 +38,7 @@ export class GoalView {
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
     this.again = button("Use as new goal", () => onagain(this.record));
     this.retry = button("Send again", () => onretry(this.record), { class: "quiet" });
+    this.rerun = button("Run again from its checkpoint", () => onrerun(this.record), { class: "quiet" });
     this.compare = button("Compare", () => this.setBasis(this.record.key), { class: "quiet" });
     this.find = button("Find in a recording", () => document.getElementById("open").click(), { class: "quiet", hidden: store.isRecording });
     this.comparison = new Comparison({ onstop: () => this.setBasis("") });
@@ -48,7 +51,7 @@ export class GoalView {
       h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.again, this.cancel),
       this.facts,
       this.labels,
-      h("div", { class: "links" }, this.compare, this.find, this.retry),
+      h("div", { class: "links" }, this.compare, this.find, this.retry, this.rerun),
       this.comparison.element,
       this.family.element,
       this.bar,
@@ -110,6 +113,7 @@ export class GoalView {
     const isKnown = this.mayUseAgain && record.goal !== undefined;
     show(this.again, isKnown);
     show(this.retry, isKnown && !record.isActive && Boolean(record.info));
+    show(this.rerun, this.mayUseAgain && record.status === "ABORTED" && GIVEN_UP.test(record.reason));
     this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
   }

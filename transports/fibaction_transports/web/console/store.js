@@ -114,6 +114,17 @@ export class Store {
     return fetch(path, { signal, ...options, headers: { ...headers, ...options.headers } });
   }
 
+  /** Have the server run a goal again that was given up, and return the ID of the new one. */
+  async rerun({ action, id }) {
+    const path = `actions/${action.split("/").map(encodeURIComponent).join("/")}/goals/${id}/rerun`;
+    const answer = await this.ask(path, undefined, { method: "POST" });
+    const told = await answer.json();
+    if (!answer.ok) {
+      throw new Error(told.detail ?? answer.statusText);
+    }
+    return told.goal_id;
+  }
+
   /** Return since when the server of an action is away, and why; undefined if it is not. */
   awayOf(action) {
     return this.lost ?? this.away.get(action);
