@@ -14,7 +14,7 @@ from fibaction.border.streams import Closing
 from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.forms import MessageForm
-from fibaction_transports.ros2.node.mailbox import Drops
+from fibaction_transports.ros2.node.mailbox import MAILBOX, Drops
 from fibaction_transports.ros2.node.parts import TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
 from fibaction_transports.ros2.qos import EndQos
@@ -22,9 +22,9 @@ from fibaction_transports.ros2.qos import EndQos
 SILENCE: Final = 5.0
 """Seconds without a first message after which the log tells what does not match, if something does
 not."""
-LATE: Final = 1_000
-"""Messages that are taken although their publishers are to wait: they were on their way. A
-publisher of the same node that keeps the last ones does not wait."""
+LATE: Final = 2 * MAILBOX
+"""Messages that are taken although their publishers are to wait: they were on their way, through
+the mailbox of rclpy. A publisher of the same node that keeps the last ones does not wait."""
 
 T = TypeVar("T")
 
