@@ -17,8 +17,10 @@ from fibaction import (
     GoalID,
     GoalStatus,
     SqliteStore,
+    serve,
 )
-from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.exit_codes import ExitCode, Failure
+from fibaction.cli.verbs.store import run_again_at
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import encode_row, moved
 from tests.cli.conftest import Run
@@ -131,3 +133,25 @@ def test_only_what_was_given_up_runs_again(here: Run, path: Path) -> None:
     assert found.err.startswith("Error: tcp://127.0.0.1:7400 is one server: give the file of its")
     assert found.code == ExitCode.USAGE
     assert here("store", "rerun", str(path) + "x", "91c7").code == ExitCode.STORE
+
+
+def test_one_runs_again_at_the_server_that_runs(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def rerun() -> None:
+        first, second = await give_up(path, 2)
+        server, url = ActionServer(PAINT, paint, store=SqliteStore(path)), "inproc://again"
+        async with serve(server, url):
+            for goal_id, digits in ((first, str(first)[:12]), (second, str(second))):
+                assert await run_again_at(url, digits) == ExitCode.SUCCEEDED
+                said = f"goal {goal_id} of /arm/paint runs again as goal "
+                assert capsys.readouterr().out.startswith(said)
+                with pytest.raises(Failure, match="was not given up at inproc://again"):
+                    await run_again_at(url, digits)
+
+    anyio.run(rerun)
+
+
+def test_the_url_of_a_server_is_asked_for_what_was_given_up(here: Run) -> None:
+    found = here("store", "rerun", "tcp://127.0.0.1:1", "91c7")
+    assert found.code == ExitCode.UNREACHABLE

@@ -15,16 +15,18 @@ import anyio
 import click
 import msgspec
 
+from fibaction._api import connect
 from fibaction.border.goal_store import StoredGoal
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.arguments.goal_lookup import goal_digits
+from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits
 from fibaction.cli.arguments.options import json_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import note, say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 from fibaction.cli.verbs.workers import FLEETS
+from fibaction.words.goals import NO_GOAL, GoalID
 
 
 @click.group("store", epilog="\b\nExample:\n  fibaction store backup goals.db")
@@ -87,6 +89,7 @@ def given_up_command(place: str, as_json: bool) -> None:
     epilog="""\b
 Examples:
   fibaction store rerun goals.db 91c7df2a
+  fibaction store rerun tcp://robot:7400 91c7df2a
   fibaction store rerun nats://127.0.0.1/robots 91c7df2a""",
 )
 @click.argument("place", metavar="FILE|URL", type=click.Path())
@@ -94,10 +97,12 @@ Examples:
 def rerun_command(place: str, goal_id: str) -> None:
     """Run the goal GOAL_ID again, which was given up, as a new goal from its last checkpoint.
 
-    No server may use the FILE meanwhile: the next one that starts with it runs the goal. In the
-    fleet at URL, a worker takes it at once. The beginning of the ID will do.
+    No server may use the FILE meanwhile: the next one that starts with it runs the goal. At the URL
+    of a server or a fleet it runs at once, if you have the permission OPERATE. The beginning of
+    the ID will do.
     """
-    run(run_again, place, goal_digits(goal_id))
+    at_server = _is_url(place) and urlsplit(place).scheme not in FLEETS
+    run(run_again_at if at_server else run_again, place, goal_digits(goal_id))
 
 
 async def list_given_up(place: str, *, as_json: bool) -> int:
@@ -136,8 +141,37 @@ async def run_again(place: str, digits: str) -> int:
 
         new = await rerun(place, action, old.goal_id)
         when = " when its server starts"
-    say(f"goal {old.goal_id} of {excerpt(shown(action))} runs again as goal {new}{when}")
+    _say_new(action, old.goal_id, new, when)
     return ExitCode.SUCCEEDED
+
+
+async def run_again_at(url: str, digits: str) -> int:
+    """Run a goal again that a server, which is running, has given up. It may remember the goal no
+    more, but with its whole ID every action can be asked.
+
+    Raises:
+        Failure: There is no such goal, or more than one.
+        ActionError: The server cannot be asked.
+    """
+    async with connect(url) as connection:
+        clients = await ActionClients(connection).now()
+        choices = [(name, digits) for name in clients]
+        if len(digits) < 2 * len(NO_GOAL):
+            action, found = await find_goal(clients, digits)
+            choices = [(action, str(found))]
+        for action, whole in choices:
+            old = GoalID.parse(whole)
+            new = await clients[action].endpoint.rerun(old)
+            if new is not None:
+                _say_new(action, old, new)
+                return ExitCode.SUCCEEDED
+    raise Failure(
+        f"goal {digits} was not given up at {_named(url)}, is not kept any more, or runs again"
+    )
+
+
+def _say_new(action: str, old: GoalID, new: GoalID, when: str = "") -> None:
+    say(f"goal {old} of {excerpt(shown(action))} runs again as goal {new}{when}")
 
 
 async def _given_up(place: str) -> list[tuple[str, StoredGoal]]:
