@@ -45,6 +45,17 @@ def two(new_robot: NewRobot, robot: RobotProcess) -> Generator[ConsoleProcess, N
         yield console
 
 
+def test_which_robot_is_away(page: Page, new_robot: NewRobot, robot: RobotProcess) -> None:
+    gone = new_robot()
+    with ConsoleProcess(f"arm3={robot.url}", f"arm7={gone.url}") as console:
+        begin(page, console.address)
+        expect(action(page, "arm7/fibonacci")).to_be_visible()
+        gone.kill()
+        expect(action(page, "arm7/").first).to_contain_text("away")
+        expect(action(page, "arm3/").first).not_to_contain_text("away")
+        assert clicks(page) == 0
+
+
 def test_why_the_last_goal_of_a_robot_failed(page: Page, two: ConsoleProcess) -> None:
     begin(page, two.address)
     action(page, "arm3/break").click()

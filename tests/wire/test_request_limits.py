@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import RejectionCode
+from fibaction import Action, RejectionCode
 from fibaction.border.event_loop import SLICE
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import Permission
@@ -40,7 +40,6 @@ from fibaction.wire.messages import (
 )
 from fibaction.wire.settings import Limits, WireSettings
 from tests.support import fibonacci as fib
-from tests.support.fibonacci import FIBONACCI
 from tests.support.slices import SliceClock
 from tests.wire.ends import (
     ANN,
@@ -274,8 +273,9 @@ async def test_a_connection_follows_the_statuses_of_an_action_once_at_a_time() -
 class Counting(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
     """A server that counts what is asked of it at the same time, and answers when told to."""
 
-    def __init__(self) -> None:
-        super().__init__(FIBONACCI, [anyio.Event()])
+    def __init__(self, name: str = "fibonacci") -> None:
+        action = Action(name, goal=fib.Goal, feedback=fib.Feedback, result=fib.Result)
+        super().__init__(action, [anyio.Event()])
         self.now = {"cancel": 0, "status": 0}
         self.most = dict(self.now)
         self.go = anyio.Event()
@@ -311,7 +311,7 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
             ),
         )
         places = [AskPlaces(i, "fibonacci", 1) for i in (32, 33)]
-        assert await client.ask_all(ListActions(30), AskPeers(31, "fibonacci"), *places) == []
+        assert await client.ask_all(AskPeers(31, "fibonacci"), *places) == []
         assert server.now == {"cancel": 1, "status": 1}
         await other.say(CancelGoals(1, "fibonacci", None, None))
         await client.say(*(CancelGoals(i, "fibonacci", A, 0) for i in range(40, 43)))
@@ -325,10 +325,20 @@ async def test_a_client_has_one_cancel_of_several_goals_and_one_list_at_work() -
         assert told == {
             **{request: [CancelAnswered] for request in (*range(9), *range(40, 43))},
             **{request: [Watching, Finished] for request in range(10, 20)},
-            30: [Actions],
             31: [Peers],
             **{request: [Places] for request in (32, 33)},
         }
+
+
+async def test_an_action_whose_server_does_not_answer_delays_those_of_other_actions_not() -> None:
+    away, other = Counting("away"), Counting()
+    other.go.set()
+    async with serving(away, other) as served:
+        client = await served.greet()
+        await client.ask_all(CancelGoals(1, "away", None, None), WatchStatus(2, "away", 1))
+        asked = CancelGoals(4, "fibonacci", None, None), WatchStatus(5, "fibonacci", 1)
+        heard = await client.ask_all(ListActions(3), *asked)
+        assert {*kinds(heard)} == {Actions, CancelAnswered, Watching}
 
 
 async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:

@@ -5,17 +5,19 @@ permissions, and `say` sends.
 
 Some requests concern all goals, all actions or all clients, and may be answered at length: a cancel
 of several goals, and the lists. One client could send a thousand of them at once. So each client
-has one cancel of several goals, and one list, at work at a time; the next has its turn when the
-answer to the one before is under way. The two do not wait for each other, since a cancel may wait
-for a decision of the user's.
+has one cancel of several goals, and one list, of an action at work at a time; the next has its turn
+when the answer to the one before is under way. The two do not wait for each other, since a cancel
+may wait for a decision of the user's; nor do those of other actions, since behind a bridge the
+server of an action may be away.
 
 A client may follow the statuses of an action once on a connection. They are read one by one, as far
 as there is credit, in slices between which other clients have their turn. A page of the history is
-asked for and told in the same way; it is a list, of which each client has one at a time.
+asked for and told in the same way; it is a list of an action.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeAlias
@@ -111,8 +113,8 @@ class RequestHandlers:
         self._find = find
         self._clients_of = clients_of
         self._say = say
-        self._canceling = Lock()
-        self._listing = Lock()
+        self._canceling: defaultdict[str, Lock] = defaultdict(Lock)
+        self._listing: defaultdict[str, Lock] = defaultdict(Lock)
         self._watched: dict[str, RequestSubscription] = {}  # by the action
         self._handlers: dict[type, Callable[[Any, RequestSubscription], Awaitable[None]]] = {
             CancelGoals: self._cancel_goals,
@@ -154,7 +156,7 @@ class RequestHandlers:
         endpoint = await self._find(message.action, Permission.CANCEL)
         goal_id = None if message.goal_id is None else GoalID(message.goal_id)
         if goal_id in (None, NO_GOAL) or message.stamp:
-            async with self._canceling:
+            async with self._canceling[message.action]:
                 await self._cancel(message, endpoint, goal_id)
         else:
             await self._cancel(message, endpoint, goal_id)
@@ -179,7 +181,7 @@ class RequestHandlers:
             await self._watch_status(message, subscription)
             return
         endpoint = await self._find(message.action, Permission.OBSERVE)
-        async with self._listing:
+        async with self._listing[message.action]:
             infos = await endpoint.past_goals(
                 past_from(message.past, message.labels, message.words)
             )
@@ -194,7 +196,7 @@ class RequestHandlers:
     async def _watch_status(self, message: WatchStatus, subscription: RequestSubscription) -> None:
         try:
             endpoint = await self._find(message.action, Permission.OBSERVE)
-            async with self._listing:
+            async with self._listing[message.action]:
                 statuses = await endpoint.status()
                 subscription.stop_with(statuses.close)
                 with _closing_after_error(statuses):
@@ -263,12 +265,12 @@ class RequestHandlers:
 
     async def _ask_peers(self, message: AskPeers, _subscription: RequestSubscription) -> None:
         await self._find(message.action, Permission.OBSERVE)
-        async with self._listing:
+        async with self._listing[message.action]:
             await self._say(Peers(message.id, self._clients_of(message.action)))
 
     async def _ask_places(self, message: AskPlaces, _subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.OBSERVE)
-        async with self._listing:
+        async with self._listing[message.action]:
             # The answer comes behind all statuses that were told before, as `Done` does: a gateway
             # asks the server behind it before it lists the goals.
             with await endpoint.status() as statuses:
@@ -284,7 +286,7 @@ class RequestHandlers:
     async def _operate(self, message: Operate, _subscription: RequestSubscription) -> None:
         permission = Permission.OBSERVE if message.mode is None else Permission.OPERATE
         endpoint = await self._find(message.action, permission)
-        async with self._listing:
+        async with self._listing[message.action]:
             if message.mode is None:
                 intake = await endpoint.intake()
             else:
@@ -295,14 +297,13 @@ class RequestHandlers:
 
     async def _rerun(self, message: Rerun, _subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.OPERATE)
-        async with self._listing:
+        async with self._listing[message.action]:
             new = await endpoint.rerun(GoalID(message.goal_id))
             await self._say(RunsAgain(message.id, new))
 
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
-        async with self._listing:
-            infos = [endpoint.info for endpoint in self._endpoints.values()]
-            await self._say(Actions(message.id, infos))
+        infos = [endpoint.info for endpoint in self._endpoints.values()]
+        await self._say(Actions(message.id, infos))
 
 
 @contextmanager

@@ -1,11 +1,12 @@
 """`KnownStatistics`: the statistics of actions as JSON, computed no more often than need be.
 
-Many pages may ask for them every few seconds, and a history may be long. So they are computed one
-at a time, and an answer is given again for as long as `REST` times the seconds that it took.
+Many pages may ask for them every few seconds, and a history may be long. So those of an action are
+computed one at a time, and an answer is given again for as long as `REST` times the seconds that it took.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from time import monotonic, time_ns
 from typing import NamedTuple
 
@@ -39,7 +40,7 @@ class KnownStatistics:
 
     def __init__(self) -> None:
         self._known: dict[tuple[str, str], Known] = {}
-        self._computing = anyio.Lock()
+        self._computing: defaultdict[str, anyio.Lock] = defaultdict(anyio.Lock)
 
     async def of(self, endpoint: Endpoint, since: str) -> bytes:
         """Return the statistics of an action since a time, as JSON.
@@ -51,7 +52,7 @@ class KnownStatistics:
         with refusing("since"):
             begin = time_of(since, time_ns(), is_local=False)
         key = endpoint.info.name, since
-        async with self._computing:
+        async with self._computing[endpoint.info.name]:
             known = self._known.pop(key, None)
             if known is None or known.until < monotonic():
                 began = monotonic()
