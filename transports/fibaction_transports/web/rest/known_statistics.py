@@ -1,7 +1,8 @@
 """`KnownStatistics`: the statistics of actions as JSON, computed no more often than need be.
 
 Many pages may ask for them every few seconds, and a history may be long. So those of an action are
-computed one at a time, and an answer is given again for as long as `REST` times the seconds that it took.
+computed one at a time, and an answer is given again for as long as `REST` times the seconds that it
+took.
 """
 
 from __future__ import annotations
