@@ -74,7 +74,8 @@ class GoalSearch:
                 self._take(
                     MatchingGoal(action, info)
                     for info in infos
-                    if (info.stamp, bytes(info.goal_id)) not in ids
+                    # Servers of earlier versions do not know all that is wanted.
+                    if wanted.has(info) and (info.stamp, bytes(info.goal_id)) not in ids
                 )
 
             # Afterwards, so that a goal which is forgotten meanwhile is in one of them.

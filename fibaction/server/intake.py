@@ -70,8 +70,13 @@ class Levers:
         self._kept = b""
         self._intake = OPEN_INTAKE
         self._is_draining = False
+        self._is_final = False
         self._goals_here = goals_here()
         self._goals_here.add(registry)
+
+    def finish(self) -> None:
+        """Let no operator end a drain from now on: the server itself drains or stops."""
+        self._is_final = True
 
     async def look(self) -> Intake:
         """Return the intake, after a look at what the store has.
@@ -102,7 +107,7 @@ class Levers:
         """
         change = replace(change, at=time.time_ns())
         drains = change.mode is IntakeMode.DRAIN
-        undrains = self._is_draining and change.mode is IntakeMode.OPEN
+        undrains = self._is_draining and change.mode is IntakeMode.OPEN and not self._is_final
         if drains and self._is_draining:
             return self._told()
         try:

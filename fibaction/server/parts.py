@@ -165,6 +165,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
         seconds. Goals that active ones have sent, also those of other registries, are accepted.
         """
+        self.levers.finish()
         self.admission.drain(together)
         self.capacity.close()
         with move_on_after(timeout):
@@ -174,6 +175,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
 
     def close(self) -> None:
         """Take nothing new from now on."""
+        self.levers.finish()
         self.capacity.close()
         self.recovery.close()
         self.admission.close()

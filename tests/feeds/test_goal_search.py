@@ -96,3 +96,13 @@ async def test_children_are_found_by_their_parent_and_not_by_a_text_that_names_i
     other = goal(3, reason=f"as {mission.goal_id}")
     endpoint = Endpoint([mission], [child, other])
     assert await found(endpoint, search(parent=mission.goal_id)) == [child]
+
+
+async def test_a_server_that_does_not_know_the_words_of_a_search_adds_no_others() -> None:
+    class Older(Endpoint):
+        async def read_past(self, wanted: GoalQuery, take: Any) -> None:
+            take(self.past)
+
+    late = goal(1, reason="late")
+    wanted = search("late")
+    assert (await found(Older([], [late, goal(2)]), wanted), wanted.total) == ([late], 1)

@@ -264,3 +264,13 @@ async def test_a_pause_by_another_server_of_the_store_is_noticed(
             assert "its intake cannot be read, and is open" in caplog.text
             with pytest.raises(TransportError, match="has no workers"):
                 await server.change_intake(IntakeChange(IntakeMode.DRAIN, worker="a"))
+
+
+async def test_a_drain_that_the_server_itself_has_begun_is_not_ended_by_an_operator() -> None:
+    driver = Driver()
+    async with driver.server as server:
+        await server.change_intake(DRAIN)
+        await server.drain(timeout=0)
+        assert (await server.change_intake(OPEN)).mode is IntakeMode.DRAIN
+        with pytest.raises(GoalRejected, match="the server drains"):
+            await driver.client.send_goal(1)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from fibaction import Peer, Permission, connect, serve
+from fibaction import Peer, Permission, ServerNotFound, connect, serve
+from fibaction.border.abc import ForwardingEndpoint, Intake, IntakeChange
 from fibaction.border.http_access import Refused
 from fibaction_transports.web.rest.intakes import wanted_in
 from tests.support.fibonacci import FIBONACCI
@@ -41,7 +42,8 @@ async def test_an_action_is_paused_and_resumed_and_its_list_tells_it_also_at_a_b
             answer = await fetch(url, "POST", f"{ACTION}/goals?wait=20", {"order": 3})
             assert answer.json["status"] == "SUCCEEDED"
             worker = {"mode": "drain", "worker": "arm-1"}
-            assert (await fetch(url, "PUT", f"{ACTION}/intake", worker)).status == 502
+            refused = await fetch(url, "PUT", f"{ACTION}/intake", worker)
+            assert (refused.status, "has no workers" in refused.json["detail"]) == (409, True)
     [change] = paused["changes"]
     assert (change["mode"], change["reason"]) == ("refuse", "wet floor")
     assert ", for 127.0.0.1:" in change["by"]
@@ -61,3 +63,13 @@ async def test_who_may_not_operate_is_refused() -> None:
 def test_what_is_not_a_change_is_refused(body: bytes) -> None:
     with pytest.raises(Refused, match="a change has a mode, and may have a reason"):
         wanted_in(body)
+
+
+async def test_a_server_that_is_away_is_not_a_lever_that_is_missing() -> None:
+    class Away(ForwardingEndpoint):
+        async def change_intake(self, change: IntakeChange) -> Intake:
+            raise ServerNotFound("no answer")
+
+    async with new_server() as server, serve(Away(server), HTTP) as (url,):
+        answer = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
+        assert (answer.status, answer.headers["retry-after"]) == (503, "1")

@@ -186,7 +186,7 @@ export class Store {
   async refreshPlaces() {
     const waiting = [...this.goals.values()].filter((goal) => goal.status === "ACCEPTED");
     for (const name of new Set(waiting.map((goal) => goal.action))) {
-      if (this.state === "ready") {
+      if (this.state === "ready" && !this.awayOf(name)) {
         const answer = this.connection.request(ASK_PLACES, name, MOST_PLACES);
         this.takePlaces(name, await answer.catch(() => [[]]));
       }

@@ -39,6 +39,7 @@ from fibaction.words.errors import (
     AuthenticationFailed,
     CancelRejected,
     ServerNotFound,
+    TransportError,
     UnknownGoal,
 )
 from fibaction.words.goal_query import cancel_stamp_of
@@ -203,7 +204,12 @@ class RestInterface:
         endpoint = await self._endpoint(client, route, Permission.OPERATE)
         wanted = wanted_in(await exchange.json_body(LARGEST_CHANGE, self._memory))
         change = client.change_of(wanted.mode, wanted.reason, worker=wanted.worker)
-        intake = await endpoint.change_intake(change)
+        try:
+            intake = await endpoint.change_intake(change)
+        except TransportError as exc:
+            if type(exc) is not TransportError:  # its server is away, for example
+                raise
+            raise Refused(409, str(exc)) from None  # it has not this lever
         await exchange.answer(200, msgspec.json.encode(intake))
 
     # Goals
