@@ -11,6 +11,7 @@ const NAME = "fibaction:topics";
 const AGAIN = 2000;
 const LOOK = 1000;
 const HEAD = 4; // bytes with the length of a piece
+const MOST = 4; // a browser opens six connections to a server, and each topic holds one
 
 /** Yield the pieces of a stream, each of which has its length in front. */
 export async function* piecesOf(stream) {
@@ -130,11 +131,11 @@ export class Topics {
     this.update();
   }
 
-  /** Return the topics that are shown: those that were chosen, or else those that the action names. */
+  /** Return the topics that are shown: those chosen last, or else those that the action names. */
   get wanted() {
     const chosen = kept()[this.action];
     const names = this.all.map(([name]) => name);
-    return chosen ?? this.named.map((one) => topicOf(one, this.action, names)).filter(Boolean);
+    return (chosen ?? this.named.map((one) => topicOf(one, this.action, names)).filter(Boolean)).slice(-MOST);
   }
 
   add(name) {
