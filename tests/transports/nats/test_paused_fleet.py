@@ -52,6 +52,7 @@ async def test_a_pause_holds_for_all_workers_and_for_those_that_come_later(
     with anyio.fail_after(60):
         async with connect(url, MOVE) as client:
             async with workers(url, "a", "b"):
+                await client.wait_for_server()
                 assert (await client.endpoint.intake()).mode is IntakeMode.OPEN
                 intake = await client.endpoint.change_intake(REFUSE)
                 assert len(intake.changes) == 1
@@ -61,6 +62,7 @@ async def test_a_pause_holds_for_all_workers_and_for_those_that_come_later(
                             await client.send_goal("x")
                         assert rejected.value.code is RejectionCode.BUSY
             async with workers(url, "d"):  # all others have gone
+                await client.wait_for_server()
                 assert await client.endpoint.intake() == intake
                 held = await client.endpoint.change_intake(HOLD)
                 assert held.mode is IntakeMode.HOLD
