@@ -41,6 +41,23 @@ async def test_what_was_lost_with_its_stream_is_kept_again() -> None:
         assert await b.journal.intake() == b"1"
 
 
+async def test_brokers_that_agree_on_their_leader_are_waited_for() -> None:
+    async with (
+        MemoryBrokers() as shared,
+        member(shared, "a") as a,
+        anyio.create_task_group() as tasks,
+    ):
+
+        async def agree() -> None:
+            await anyio.sleep(10)
+            a.broker.is_away = False
+
+        await add(a, b"1")
+        a.broker.is_away = True
+        tasks.start_soon(agree)
+        assert await a.journal.intake() == b"1"
+
+
 async def test_a_lost_answer_is_looked_up() -> None:
     async with MemoryBrokers() as shared, member(shared, "a") as a:
 

@@ -17,7 +17,7 @@ import random
 import time
 from collections.abc import Awaitable, Callable
 
-from anyio import sleep
+from anyio import current_time, sleep
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
@@ -51,6 +51,8 @@ from fibaction_transports.nats.worker.record_writes import (
 INTAKE_PERIOD = 10.0
 """Seconds after which a worker looks whether another one has noted a pause; clients that pause an
 action ask all workers to look."""
+INTAKE_PATIENCE, INTAKE_PAUSE = 15.0, 0.2
+"""Seconds for which brokers may agree on the leader of a stream, and between two questions."""
 INTAKE_TRIES = 50
 """Times that a worker tries to change it, if others do so at the same time."""
 CLASH_PAUSE = 0.02
@@ -116,14 +118,22 @@ class FleetJournal(FleetHistory, GoalJournal):
 
     async def intake(self) -> bytes:
         """See `IntakeSource.intake`. What was lost with its stream is kept again."""
-        try:
-            record = await self._broker.get(self._names.keys, self._names.intake(self.action))
-        except BrokerAway as exc:
-            raise StoreError(f"the intake cannot be read: {exc}") from exc
+        record = await self._kept_intake()
         if record is None and self._intake:
             return await self.change_intake(lambda kept: kept or self._intake)
         self._intake = b"" if record is None else record.data
         return self._intake
+
+    async def _kept_intake(self) -> BrokerRecord | None:
+        # The brokers of a stream that was made just now may still agree on its leader.
+        ends = current_time() + INTAKE_PATIENCE
+        while True:
+            try:
+                return await self._broker.get(self._names.keys, self._names.intake(self.action))
+            except BrokerAway as exc:
+                if current_time() >= ends:
+                    raise StoreError(f"the intake cannot be read: {exc}") from exc
+            await sleep(INTAKE_PAUSE)
 
     async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
         """See `IntakeSource.change_intake`."""
