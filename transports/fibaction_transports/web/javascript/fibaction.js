@@ -244,7 +244,7 @@ class Goal {
     if (number <= this._last) return;
     this._dropped += number - this._last - 1;
     this._last = number;
-    at = BigInt(at ?? Date.now() * 1e6);
+    at = BigInt(at ?? BigInt(Date.now()) * 1000000n);
     if (this._reads) this._items.push([number, this._attempt, at, decode(payload)]);
     this._makeRoom();
     this._deliver();
