@@ -31,6 +31,8 @@ _SECTIONS = {
     "turtle": ("ros2_without_ros", "A robot without ROS"),
 }
 """Parts with robots or nodes of their own: the page of each, and its heading."""
+PAGES = frozenset(_SECTIONS.get(robot, (robot, ""))[0] for robot in ROBOTS)
+"""The pages with these parts."""
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from tests.ros2.test_node_pages import PAGES as WITH_NODES
-from tests.ros2.test_robot_pages import ROBOTS
+from tests.ros2.test_robot_pages import PAGES as WITH_ROBOTS
 from tests.support.pages import blocks_of
 from tests.support.walks import file_of, walk
 from tests.test_docs import DOCS, PAGES, ROOT
 
-WITH_OTHERS = {*ROBOTS, *WITH_NODES}
+WITH_OTHERS = WITH_ROBOTS.union(WITH_NODES)
 """The pages whose programs need other nodes around them, and have tests with these."""
 WALKS = [
     path
