@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect_left
 from collections import Counter
+from itertools import accumulate
 
 import msgspec
 
@@ -118,11 +120,9 @@ class Durations:
         return Percentiles(self._count, self._share(0.5), self._share(0.95), self._most)
 
     def _share(self, share: float) -> float:
-        left, found = math.ceil(share * self._count), 0
-        for found in sorted(self._classes):
-            left -= self._classes[found]
-            if left <= 0:
-                break
+        classes = sorted(self._classes)
+        counts = list(accumulate(self._classes[one] for one in classes))
+        found = classes[bisect_left(counts, math.ceil(share * self._count))]
         middle = 2 * _GROWTH**found / (1 + _GROWTH)
         return min(middle, self._most) if middle > _SHORTEST else 0.0
 

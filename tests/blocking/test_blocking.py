@@ -121,6 +121,7 @@ def test_a_goal_is_followed_to_its_end(client: Client) -> None:
     with client.send_goal(3) as goal:
         assert list(goal) == [0, 1, 2]
         assert (goal.feedback.number, goal.feedback.attempt) == (3, 1)
+        assert goal.stamp <= goal.feedback.at
         assert goal.result() == "counted to 3"
         assert goal.outcome().status is GoalStatus.SUCCEEDED
         assert (goal.feedback_dropped, goal.feedback.dropped, goal.attempt) == (0, 0, 1)

@@ -371,3 +371,18 @@ def test_a_rename_of_what_is_not_served_names_the_nearest(invoke: Invoke, tcp: s
     result = invoke("bridge", tcp, "unix:///tmp/never", "--rename", "fibonacci=wait")
     assert result.exit_code == ExitCode.USAGE
     assert result.stderr.startswith("Error: /fibonacci and /wait cannot both be served as /wait")
+
+
+def test_a_bridge_of_several_urls_ends_by_a_signal(
+    tmp_path: Path, nobody: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        signal.raise_signal(SIGTERM)
+
+    monkeypatch.setattr(bridge, "say", say)
+    near = f"unix://{tmp_path}/near"
+    assert anyio.run(bridge.bridge_several, {"arm": nobody, "base": nobody}, near) == 0
+    assert said == [f"bridging from {nobody}, {nobody} to {near}, Ctrl-C stops it"]

@@ -13,6 +13,7 @@ import anyio
 import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
+from fibaction.cli.process.ros_nodes import say_names
 from fibaction_transports.ros2 import Node, open_node
 from tests.cli.conftest import Run, Start
 from tests.support.processes import ended, lines_until
@@ -214,3 +215,10 @@ def test_what_is_not_there_is_one_sentence(here: Run) -> None:
         "Error: tcp://127.0.0.1:1 has actions only: topics, services and parameters are at"
         " ros2://, dds:// and zenoh://\n"
     )
+
+
+def test_hidden_names_are_listed_if_all_are_wanted(capsys: pytest.CaptureFixture[str]) -> None:
+    found = {"/a/_hidden": "T", "/seen": "T"}
+    for is_all in (False, True):
+        say_names(found, "topic", is_all=is_all, show_types=False, as_json=False)
+    assert capsys.readouterr().out.split() == ["/seen", "/a/_hidden", "/seen"]

@@ -12,8 +12,10 @@ import pytest
 from hypothesis import given, settings, strategies
 
 from fibaction.action_files import load_action
-from fibaction.interfaces.files import read_action
-from fibaction.interfaces.source import python_source
+from fibaction.interfaces.definitions import InterfaceError
+from fibaction.interfaces.files import ServiceFile, read_action, read_interface, read_service
+from fibaction.interfaces.packages import SearchPath
+from fibaction.interfaces.source import python_source, types_source
 from fibaction.types.action import Action
 from tests.action_files import awkward_types, count_types, pick_up_types
 
@@ -154,3 +156,28 @@ def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
         loaded = load_action(path, search=[FILES / "plain"])
         module = run(python_source(read_action(path, search=[FILES / "plain"])))
     assert_equal_actions(module.LIFT, loaded)
+
+
+def test_messages_and_services_are_written_as_typed_classes(tmp_path: Path) -> None:
+    folder = tmp_path / "near_msgs"
+    texts = {"msg/Near.msg": "int32 x 5\n", "srv/CountUp.srv": "int32 to\n---\nNear[] found\n"}
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_text(text)
+    found = [read_interface(folder / name, []) for name in texts]
+    module = run(types_source(found))
+    assert module.Near().x == 5
+    assert module.Near.__ros_type__ == "near_msgs/msg/Near"
+    service = module.COUNT_UP
+    assert (service.type_name, service.response().found) == ("near_msgs/srv/CountUp", [])
+    again, read = read_service("near_msgs/srv/CountUp", SearchPath((), ())), found[1]
+    assert isinstance(read, ServiceFile)
+    assert again.text == read.text  # defined by the module: no file is needed
+
+
+def test_a_file_outside_of_a_package_has_no_type(tmp_path: Path) -> None:
+    path = tmp_path / "9" / "Near.msg"
+    path.parent.mkdir()
+    path.write_text("int32 x\n")
+    with pytest.raises(InterfaceError, match="expected a file such as my_msgs/msg/Name"):
+        read_interface(path, [])

@@ -274,3 +274,24 @@ async def test_a_drain_that_the_server_itself_has_begun_is_not_ended_by_an_opera
         assert (await server.change_intake(OPEN)).mode is IntakeMode.DRAIN
         with pytest.raises(GoalRejected, match="the server drains"):
             await driver.client.send_goal(1)
+
+
+async def test_a_goal_that_is_decided_on_when_a_pause_begins_is_rejected() -> None:
+    asked, decide = anyio.Event(), anyio.Event()
+
+    async def on_goal(request: int) -> None:
+        asked.set()
+        await decide.wait()
+
+    driver = Driver(on_goal=on_goal)
+    with anyio.fail_after(20):
+        async with driver.server as server, anyio.create_task_group() as tasks:
+
+            async def send() -> None:
+                with pytest.raises(GoalRejected, match="wet floor"):
+                    await driver.client.send_goal(1)
+
+            tasks.start_soon(send)
+            await asked.wait()
+            await server.change_intake(REFUSE)
+            decide.set()

@@ -6,7 +6,7 @@ import statistics
 import time
 from collections import deque
 from functools import partial
-from itertools import count, pairwise
+from itertools import pairwise
 from typing import Any, Final
 
 import anyio
@@ -229,14 +229,14 @@ def publish(
             await until_interrupted(partial(repeat, publisher))
 
     async def repeat(publisher: Any) -> None:
-        due = anyio.current_time()
-        for number in count(1):
+        due, number = anyio.current_time(), 0
+        while number != times:
+            await anyio.sleep_until(due)
+            due += 1 / rate
+            number += 1
             made = publisher.message(value)
             say(f"publishing #{number}: {in_python(made, type_name)}\n")
             await publisher.publish(made)
-            if number == times:
-                return await anyio.sleep(PARTING)
-            due += 1 / rate
-            await anyio.sleep_until(due)
+        await anyio.sleep(PARTING)
 
     run_at(given["url"], act)

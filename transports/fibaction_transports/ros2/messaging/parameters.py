@@ -184,13 +184,12 @@ class OwnParameters:
         ends = self._store.on_change(note), self._ros.on_loss(lambda error: news.notify())
         try:
             while True:
-                if changed:
-                    found = dict(changed)
-                    changed.clear()
-                    yield found
-                    continue
-                self._ros.raise_if_lost()
-                await news.wait()
+                while not changed:
+                    self._ros.raise_if_lost()
+                    await news.wait()
+                found = dict(changed)
+                changed.clear()
+                yield found
         finally:
             for end in ends:
                 end()
