@@ -134,9 +134,7 @@ class Levers:
     def _encoded(self, kept: bytes, change: IntakeChange, *, is_noted: bool) -> bytes:
         """Return what is to be kept in place of `kept`; a change may only be noted."""
         before = self._decoded(kept)
-        after = before.changed(change)
-        if is_noted:
-            after = Intake(before.mode, (change, *before.changes))
+        after = before.changed(change, is_noted=is_noted)
         return kept if after is before else msgspec.msgpack.encode(after)
 
     def _decoded(self, kept: bytes) -> Intake:

@@ -51,21 +51,22 @@ class Intake(msgspec.Struct, frozen=True):
     changes: tuple[IntakeChange, ...] = ()
     """The newest changes, newest first."""
 
-    def changed(self, change: IntakeChange) -> Intake:
+    def changed(self, change: IntakeChange, *, is_noted: bool = False) -> Intake:
         """Return the intake after a change, which is kept in full. A change to what is already so
         for the same reason is none.
 
-        To drain is noted, and changes no mode.
+        One that is only noted changes no mode; to drain is noted.
         """
-        is_drain = change.mode is IntakeMode.DRAIN
+        is_noted = is_noted or change.mode is IntakeMode.DRAIN
         newest = self.current
-        if change.mode is self.mode and (newest is None or change.reason == newest.reason):
+        is_so = change.mode is self.mode and (newest is None or change.reason == newest.reason)
+        if is_so and not is_noted:
             return self
         change = msgspec.structs.replace(
             change, reason=shortened(change.reason, LENGTH), by=shortened(change.by, LENGTH)
         )
         changes = (change, *self.changes)[:MOST_CHANGES]
-        return Intake(self.mode if is_drain else change.mode, changes)
+        return Intake(self.mode if is_noted else change.mode, changes)
 
     @property
     def current(self) -> IntakeChange | None:

@@ -27,7 +27,7 @@ from fibaction import (
 )
 from fibaction.border.goal_store import IntakeSource
 from fibaction.stores._writer import SqliteJournal
-from fibaction.words.intake import Intake, IntakeChange, IntakeMode
+from fibaction.words.intake import MOST_CHANGES, Intake, IntakeChange, IntakeMode
 
 pytestmark = pytest.mark.anyio
 
@@ -295,3 +295,12 @@ async def test_a_goal_that_is_decided_on_when_a_pause_begins_is_rejected() -> No
             await asked.wait()
             await server.change_intake(REFUSE)
             decide.set()
+
+
+async def test_changes_that_are_only_noted_count_in_the_bound_of_those_that_are_kept() -> None:
+    driver = Driver()
+    async with driver.server as server:
+        for _ in range(MOST_CHANGES):
+            await server.change_intake(DRAIN)
+            await server.change_intake(OPEN)
+        assert len((await server.intake()).changes) == MOST_CHANGES
