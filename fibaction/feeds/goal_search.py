@@ -16,7 +16,7 @@ import anyio
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.border.event_loop import Slices
-from fibaction.words.goal_query import GoalQuery, sort_key
+from fibaction.words.goal_query import GoalQuery, place_of, sort_key
 from fibaction.words.goals import GoalID, GoalInfo
 
 HELD = 2000
@@ -68,14 +68,14 @@ class GoalSearch:
         wanted = self._wanted.at(action)
         with await endpoint.status() as statuses:
             known = await statuses.listed()
-            ids = {(info.stamp, bytes(info.goal_id)) for info in known}
+            ids = set(map(place_of, known))
 
             def take(infos: list[GoalInfo]) -> None:
                 self._take(
                     MatchingGoal(action, info)
                     for info in infos
                     # Servers of earlier versions do not know all that is wanted.
-                    if wanted.has(info) and (info.stamp, bytes(info.goal_id)) not in ids
+                    if wanted.has(info) and place_of(info) not in ids
                 )
 
             # Afterwards, so that a goal which is forgotten meanwhile is in one of them.

@@ -89,6 +89,12 @@ ANY_GOAL = GoalQuery()
 Place: TypeAlias = tuple[int, bytes]
 """The place of a goal in the order of acceptance: its stamp and its ID."""
 
+
+def place_of(info: GoalInfo) -> Place:
+    """Return the place of a goal in the order of acceptance."""
+    return info.stamp, bytes(info.goal_id)
+
+
 MOST_PAST = 1000
 """Goals of one page of a history, at most."""
 
@@ -112,7 +118,7 @@ class PastPage(NamedTuple):
             return False
         if self.after is None:
             return True
-        place = (info.stamp, bytes(info.goal_id))
+        place = place_of(info)
         return place < self.after if self.newest_first else place > self.after
 
 
@@ -148,7 +154,7 @@ def sort_key(sort: str, info: GoalInfo) -> tuple[bool, Any, int, bytes]:
     first, and those with the same key are in the order of their acceptance.
     """
     key = SORTS[sort](info)
-    return key is not None, key, info.stamp, bytes(info.goal_id)
+    return key is not None, key, *place_of(info)
 
 
 def words_of(text: str) -> tuple[str, ...]:

@@ -91,7 +91,7 @@ async def test_a_drain_does_not_wait_for_a_server_that_does_not_answer(
             await anyio.sleep_forever()
 
     silent: object = Silent()
-    assert not await levers._ended({"drive": silent}, "", 0.05)  # type: ignore[dict-item]
+    assert not await levers._ended({"drive": silent}, "", 0.05)  # type: ignore[dict-item]  # it has goals only
     assert capsys.readouterr().err == "the server did not answer\n"
 
 

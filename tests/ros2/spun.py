@@ -1,15 +1,21 @@
-"""A node of rclpy in the process of the tests, which a thread spins."""
+"""A node of rclpy in the process of the tests, which a thread spins, and one of ours beside it."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+import uuid
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any
 
+import anyio
 from rclpy.executors import ExternalShutdownException
 
+from fibaction_transports.ros2 import Node, open_node
 from fibaction_transports.ros2.on_rclpy.rcl import Context, SingleThreadedExecutor, rclpy
+
+PATIENCE = 30.0
+"""Seconds for all that a test does between the two."""
 
 
 @contextmanager
@@ -36,3 +42,22 @@ def spun_node(namespace: str, name: str = "mine", *arguments: str) -> Generator[
         executor.shutdown()
         node.destroy_node()
         context.try_shutdown()
+
+
+@asynccontextmanager
+async def beside_rclpy(
+    scheme: str, patience: float = PATIENCE
+) -> AsyncGenerator[tuple[Node, Any], None]:
+    """Open a node of ours and one of rclpy in one namespace, for as long as the block lasts, which
+    is at most `patience` seconds.
+    """
+    space = f"/t{uuid.uuid4().hex}"
+    with anyio.fail_after(patience), spun_node(space, "stock") as stock:
+        async with open_node(f"{scheme}://ours", namespace=space, arguments=[]) as node:
+            yield node, stock
+
+
+async def until(look: Callable[[], object]) -> None:
+    """Wait until what is looked at is so."""
+    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
+        await anyio.sleep(0.01)

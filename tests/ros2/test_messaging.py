@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
 from queue import Queue
 from typing import Any
 
@@ -19,8 +16,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import Float32MultiArray, String
 
 from fibaction import ConnectionLost, TransportError
-from fibaction_transports.ros2 import EndQos, Node, open_node
-from tests.ros2.spun import spun_node
+from fibaction_transports.ros2 import EndQos, open_node
+from tests.ros2.spun import beside_rclpy, until
 
 pytestmark = pytest.mark.anyio
 
@@ -37,19 +34,6 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 def scheme(request: pytest.FixtureRequest) -> Any:
     """The way of our node: through rclpy, or over our own DDS."""
     return request.param
-
-
-@asynccontextmanager
-async def beside_rclpy(scheme: str) -> AsyncGenerator[tuple[Node, Any], None]:
-    space = f"/t{uuid.uuid4().hex}"
-    with anyio.fail_after(PATIENCE), spun_node(space, "stock") as stock:
-        async with open_node(f"{scheme}://ours", namespace=space, arguments=[]) as node:
-            yield node, stock
-
-
-async def until(look: Callable[[], object]) -> None:
-    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
-        await anyio.sleep(0.01)
 
 
 async def test_messages_go_both_ways_and_a_removed_end_is_gone(scheme: str) -> None:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import random
 import sys
-import uuid
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from queue import Queue
 from typing import Any
 
-import anyio
 import msgspec
 import pytest
 from hypothesis import Phase, given, settings
@@ -24,9 +20,8 @@ from fibaction.interfaces.files import InterfaceMessage, read_message
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction.types.ros_messages import encode
-from fibaction_transports.ros2 import Node, open_node
 from tests.lossy.bad_network import Weather, bad_network
-from tests.ros2.spun import spun_node
+from tests.ros2.spun import beside_rclpy, until
 from tests.transports.cdr.generated import values_of
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(120)]
@@ -67,19 +62,6 @@ def scheme(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-@asynccontextmanager
-async def beside_rclpy(scheme: str) -> AsyncGenerator[tuple[Node, Any], None]:
-    space = f"/t{uuid.uuid4().hex}"
-    with anyio.fail_after(PATIENCE), spun_node(space, "stock") as stock:
-        async with open_node(f"{scheme}://ours", namespace=space, arguments=[]) as node:
-            yield node, stock
-
-
-async def until(look: Callable[[], object]) -> None:
-    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
-        await anyio.sleep(0.01)
-
-
 @cache
 def some_values(type_name: str) -> list[Any]:
     """Return values of a message, those of hypothesis without its first and simplest ones."""
@@ -106,7 +88,7 @@ def plain(message: Any) -> Any:
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")
 async def test_twenty_types_with_each_primitive_go_both_ways(scheme: str) -> None:
-    async with beside_rclpy(scheme) as (node, stock):
+    async with beside_rclpy(scheme, PATIENCE) as (node, stock):
         for number, type_name in enumerate(TYPES):
             package, _, name = type_name.split("/")
             cls = getattr(import_module(f"{package}.msg"), name)
@@ -125,7 +107,7 @@ async def test_a_late_reader_gets_what_was_published_before_also_eight_megabytes
     scheme: str,
 ) -> None:
     large = random.Random(1).randbytes(8_000_000)
-    async with beside_rclpy(scheme) as (node, stock):
+    async with beside_rclpy(scheme, PATIENCE) as (node, stock):
         words = node.publisher("words", "std_msgs/msg/String", qos="transient_local", depth=3)
         blobs = node.publisher(
             "blobs", "std_msgs/msg/UInt8MultiArray", qos="transient_local", depth=1
@@ -153,7 +135,7 @@ async def test_a_late_reader_gets_what_was_published_before_also_eight_megabytes
 
 
 async def test_a_hundred_topics_each_way(scheme: str) -> None:
-    async with beside_rclpy(scheme) as (node, stock):
+    async with beside_rclpy(scheme, PATIENCE) as (node, stock):
         ends = []
         for number in range(TOPICS):
             echo = stock.create_publisher(String, node.full_name(f"back{number}"), 10)

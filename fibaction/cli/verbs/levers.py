@@ -11,7 +11,7 @@ import anyio
 import click
 import msgspec
 
-from fibaction._api import ClientConnection, connect
+from fibaction._api import connect
 from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.goal_lookup import ActionClients
@@ -167,7 +167,7 @@ async def operate(
     """
     change = IntakeChange(mode, reason, by=own_name(), worker=worker)
     async with connect(url) as connection:
-        clients = await _clients(connection, names, namespace)
+        clients = await ActionClients(namespace.narrow(connection), *names).now()
         changed = {
             name: await _change(name, client, change, as_json=as_json)
             for name, client in clients.items()
@@ -177,12 +177,6 @@ async def operate(
         if wait and not await _ended(clients, worker, wait):
             return ExitCode.TIMED_OUT
     return ExitCode.SUCCEEDED
-
-
-async def _clients(
-    connection: ClientConnection, names: tuple[str, ...], namespace: Namespace
-) -> dict[str, AnyClient]:
-    return await ActionClients(namespace.narrow(connection), *names).now()
 
 
 async def _change(name: str, client: AnyClient, change: IntakeChange, *, as_json: bool) -> bool:

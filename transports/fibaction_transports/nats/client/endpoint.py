@@ -72,7 +72,7 @@ from fibaction.words.errors import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.words.goal_query import GoalQuery, PastPage, read_pages
+from fibaction.words.goal_query import GoalQuery, PastPage, place_of, read_pages
 from fibaction.words.goals import ID_IN_USE, CancelAnswer, CancelCode, GoalID, GoalInfo, digest_of
 from fibaction.words.intake import Intake, IntakeChange, IntakeMode
 from fibaction.words.meta import size_of
@@ -317,7 +317,7 @@ class FleetEndpoint(Endpoint):
         gateways = self._parts.workers.serving(self._info.name, is_kept=False)
         parts = await self.of_all([lease.worker for lease in gateways], ask)
         parts.append(await self._in_history(self._history.past_goals(page)))
-        found = {(info.stamp, bytes(info.goal_id)): info for part in parts for info in part}
+        found = {place_of(info): info for part in parts for info in part}
         return list(first_of(found, page).values())
 
     async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:

@@ -26,7 +26,7 @@ from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import NotGivenUp, PastSource, StoredGoal
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, ProtocolError, StoreError
-from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage, Place
+from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage, Place, place_of
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.history.given_up import rerun_goal
@@ -58,7 +58,7 @@ class FleetHistory(PastSource):
 
         def take(infos: list[GoalInfo]) -> None:
             nonlocal found
-            found |= {(info.stamp, bytes(info.goal_id)): info for info in infos if page.has(info)}
+            found |= {place_of(info): info for info in infos if page.has(info)}
             if len(found) > HELD * limit:
                 found = first_of(found, page)
 
@@ -70,7 +70,7 @@ class FleetHistory(PastSource):
         known: set[Place] = set()
 
         def take_new(infos: list[GoalInfo]) -> None:
-            places = {(info.stamp, bytes(info.goal_id)): info for info in infos}
+            places = {place_of(info): info for info in infos}
             take([info for place, info in places.items() if place not in known])
             known.update(places)
 
