@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -15,6 +15,8 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, run
 
 TIMEOUT: Final = 5.0
 """Seconds to find what a verb is about."""
+
+FoundT = TypeVar("FoundT")
 
 timeout_option = click.option(
     "--timeout", type=click.FloatRange(0.1), default=TIMEOUT, show_default=True, help="In seconds."
@@ -43,6 +45,12 @@ async def node_at(url: str) -> AsyncGenerator[Any, None]:
             yield node
         except (TimeoutError, ValueError) as exc:
             raise Failure(str(exc)) from exc
+
+
+async def settled(node: Any, look: Callable[[Any], FoundT]) -> FoundT:
+    """Return what is found in the graph of a node once discovery is complete."""
+    found: FoundT = await node.settled(look)
+    return found
 
 
 def run_at(url: str, act: Callable[[Any], Awaitable[None]]) -> None:

@@ -16,6 +16,7 @@ from fibaction.cli.process.ros_nodes import (
     all_option,
     run_at,
     say_names,
+    settled,
     timeout_option,
     types_option,
 )
@@ -40,7 +41,7 @@ def list_services(show_types: bool, is_all: bool, as_json: bool, url: str) -> No
     """List the services of the graph."""
 
     async def act(node: Any) -> None:
-        found: dict[str, str] = await node.settled(lambda view: dict(view.services()))
+        found: dict[str, str] = await settled(node, lambda view: dict(view.services()))
         own = f"{node.name}/"
         found = {name: kind for name, kind in found.items() if not name.startswith(own)}
         say_names(found, "service", is_all=is_all, show_types=show_types, as_json=as_json)
@@ -96,7 +97,7 @@ def list_parameters(node_name: str | None, timeout: float, url: str) -> None:
     """List the parameters of NODE, or of all nodes."""
 
     async def act(node: Any) -> None:
-        names = [node_name] if node_name else sorted(await node.settled(_nodes) - {node.name})
+        names = [node_name] if node_name else sorted(await settled(node, _nodes) - {node.name})
         for one in names:
             if not node_name:
                 say(printable(f"{one}:"))

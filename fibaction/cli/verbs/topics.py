@@ -22,6 +22,7 @@ from fibaction.cli.process.ros_nodes import (
     in_python,
     run_at,
     say_names,
+    settled,
     timeout_option,
     types_option,
 )
@@ -67,7 +68,7 @@ def list_topics(show_types: bool, is_all: bool, as_json: bool, url: str) -> None
     """List the topics of the graph."""
 
     async def act(node: Any) -> None:
-        found: dict[str, str] = await node.settled(lambda view: dict(view.topics()))
+        found: dict[str, str] = await settled(node, lambda view: dict(view.topics()))
         say_names(found, "topic", is_all=is_all, show_types=show_types, as_json=as_json)
 
     run_at(url, act)
@@ -84,8 +85,8 @@ def describe_topic(topic: str, verbose: bool, timeout: float, url: str) -> None:
     async def act(node: Any) -> None:
         type_name = await node.find_type(topic, timeout=timeout)
         name = node.full_name(topic)
-        ends: tuple[list[Any], ...] = await node.settled(
-            lambda view: (view.publishers(name), view.subscriptions(name))
+        ends: tuple[list[Any], ...] = await settled(
+            node, lambda view: (view.publishers(name), view.subscriptions(name))
         )
         say(printable(f"Type: {type_name}"))
         for kind, found in zip(("Publisher", "Subscription"), ends, strict=True):
