@@ -12,10 +12,6 @@ ROS ?= kilted
 VENV := .venv
 BIN := $(VENV)/bin
 ROS_VENV := .venv-$(if $(filter kilted,$(ROS)),ros,ros-$(ROS))
-# The libraries of JavaScript that tests use.
-JAVASCRIPT := build/javascript
-# The other Pythons of pyproject.toml that are here.
-PYTHONS = $(eval PYTHONS := $(shell PYTHON=$(PYTHON) tests/tools/find_python.sh --others))$(PYTHONS)
 
 # The tests use the ROS of their environment, and not one that was sourced in the shell.
 no_other_ros = env -u AMENT_PREFIX_PATH -u PYTHONPATH -u RMW_IMPLEMENTATION
@@ -25,9 +21,10 @@ export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell echo $$(( ($$(getconf _NPROCESSO
 at_once = -n auto --dist worksteal
 # The tests start hundreds of processes, and each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
-
-.DEFAULT_GOAL := help
-.PHONY: help demo check test elsewhere format lint types imports unit programs promtool chromium docs docs-serve bench regression simulate contract properties soak kills lossy fleet fuzz attack mutants openapi agents frontends test-ros test-wheel test-pythons test-lowest release lock audit ros clean
+MAKEFLAGS += --no-print-directory
+.PHONY: help demo check test elsewhere format lint types imports unit programs get docs docs-serve \
+    test-ros test-wheel test-pythons test-lowest openapi agents frontends bench regression simulate contract \
+    properties soak kills lossy fleet fuzz attack mutants release lock audit ros clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 20
@@ -45,17 +42,15 @@ check: lint imports $(VENV)/.tools  ## Run the quick checks, in less than a minu
 	$(pytest) $(at_once) $(QUICK)
 
 # The unit tests wait half of the time, so the other checks run beside them.
-test: lint $(VENV)/.docs $(JAVASCRIPT)/.installed chromium promtool  ## Run all checks, but those with ROS 2 or other versions
+test: lint $(VENV)/.docs build/javascript/.installed get  ## Run all checks but `elsewhere`
 	@MAKE="$(MAKE)" $(PYTHON) -m tests.tools.beside unit "imports types docs programs"
 
-# One after the other, since tests with ROS 2 wait for real time. Of several other Pythons the first
-# has the lowest versions, and no run of its own.
+# One after the other, since tests with ROS 2 wait for real time.
 elsewhere:  ## Run the tests with ROS 2, with the wheel, the other Pythons and the lowest versions
-	@$(MAKE) --no-print-directory test-ros ROS=kilted
-	@$(MAKE) --no-print-directory test-ros ROS=jazzy
-	@$(MAKE) --no-print-directory test-wheel
-	@$(MAKE) --no-print-directory $(if $(word 2,$(PYTHONS)),test-lowest LOWEST=$(firstword $(PYTHONS)) \
-	    $(patsubst %,test-python%,$(wordlist 2,9,$(PYTHONS))),test-pythons test-lowest)
+	@$(MAKE) test-ros ROS=kilted
+	@$(MAKE) test-ros ROS=jazzy
+	@$(MAKE) test-wheel
+	@$(no_other_ros) tests/tools/elsewhere.sh lowest pythons
 
 format: $(VENV)/.tools  ## Format the code, and fix what ruff can fix
 	$(BIN)/ruff check --fix .
@@ -75,19 +70,18 @@ imports: $(VENV)/.tools  ## Check that imports point one way
 	$(BIN)/lint-imports
 
 # The tests that start processes, and wait for what these do in real time.
-PROGRAMS := $(addprefix tests/,browser fleet kills lossy soak support/test_walks.py test_examples.py test_stories.py)
+PROGRAMS := $(addprefix tests/,browser fleet kills lossy soak \
+    support/test_walks.py test_examples.py test_stories.py)
 
-unit: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium promtool  ## Run the tests, and look at what they cover
+unit: $(VENV)/.tools build/javascript/.installed get  ## Run the tests, and look at what they cover
 	$(pytest) -p tests.tools.own_coverage $(at_once) --durations=25 $(addprefix --ignore=,$(PROGRAMS))
 
-programs: $(VENV)/.tools $(JAVASCRIPT)/.installed chromium  ## Run the tests of whole programs: examples, walks, fleets, pages in a browser
+programs: $(VENV)/.tools build/javascript/.installed get  ## Run the tests of whole programs
 	$(pytest) --durations=10 $(PROGRAMS)
 
-promtool: $(VENV)/.tools  ## Get the checker of metrics that tests use
-	@tests/tools/get.sh promtool
-
-chromium:  ## Install the browser that tests use, where this user may
+get: $(VENV)/.tools  ## Get the browser and the checker of metrics that tests use, where this user may
 	@tests/tools/get.sh chromium
+	@tests/tools/get.sh promtool
 
 docs: $(VENV)/.docs  ## Build the documentation into site/
 	$(BIN)/python docs/build.py
@@ -102,36 +96,25 @@ test-ros: ros  ## Test the ROS 2 transport with ROS 2 Kilted, or with ROS=jazzy
 	$(no_other_ros) tests/ros2/check.sh $(ROS_VENV)
 
 test-wheel: $(VENV)/.release  ## Check the sdist and the wheel, and run the tests against the wheel
-	$(no_other_ros) tests/packaging/check.sh $(PYTHONS)
-
-test_elsewhere = FIBACTION_ELSEWHERE=1 FIBACTION_EXAMPLES=10 $(no_other_ros) $(1)/bin/python -m pytest -q \
-    $(at_once) -o cache_dir=$(1)/.pytest_cache
+	$(no_other_ros) tests/packaging/check.sh
 
 test-pythons:  ## Run the tests with each other version of Python that is installed
-	@$(foreach version,$(PYTHONS),$(MAKE) --no-print-directory test-python$(version) &&) true
+test-lowest:  ## Run the tests with the lowest versions of libraries that are allowed
+test-pythons test-lowest:
+	@$(no_other_ros) tests/tools/elsewhere.sh $(@:test-%=%)
 
-test-python%: build/python%/.installed
-	$(call test_elsewhere,build/python$*)
-
-test-lowest: build/lowest/.installed  ## Run the tests with the lowest versions of libraries that are allowed
-	$(call test_elsewhere,build/lowest)
-
-openapi: $(VENV)/.tools .venv-openapi/.installed  ## Try the programs of others for OpenAPI at a server: clients, random requests
-	FIBACTION_OPENAPI=required $(pytest) tests/transports/web/test_openapi_clients.py
-
-agents: $(VENV)/.tools .venv-mcp-agents/.installed .venv-a2a-agents/.installed  ## Try the agents of others at a bridge: MCP's conformance suite, fastmcp, google-adk, strands
-	FIBACTION_AGENTS=required $(pytest) tests/transports/mcp/test_official_clients.py tests/transports/a2a/test_agents_of_others.py
-
-frontends: $(VENV)/.tools build/frontends/.installed  ## Try the hooks of examples/web in React, Vue and Svelte, and the client in Deno and Bun
-	FIBACTION_FRONTENDS=required $(pytest) tests/javascript/test_frontends.py
+openapi: $(VENV)/.tools  ## Try the programs of others for OpenAPI at a server: clients, random requests
+agents: $(VENV)/.tools  ## Try agents of others at a bridge: MCP's suite, fastmcp, google-adk, strands
+frontends: $(VENV)/.tools  ## Try the hooks of examples/web in React, Vue and Svelte; Deno and Bun
+openapi agents frontends:
+	$(no_other_ros) tests/tools/others.sh $@
 
 # The trials of each night, and the measurements
 
 bench: $(VENV)/.bench  ## Measure everything beside its peers, for docs/comparisons.md
-	$(MAKE) --no-print-directory $(patsubst %,build/python%/.installed,$(PYTHONS))
 	$(no_other_ros) tests/tools/benchmarks/all.sh $(SCALE)
 
-regression: $(VENV)/.tools  ## Compare the speed with that of yesterday, or of BASE=COMMIT, and fail if it is 15 % less
+regression: $(VENV)/.tools  ## Fail if it is 15 % slower than yesterday, or BASE=COMMIT
 	$(BIN)/python -m tests.tools.benchmarks.regression --base "$(BASE)"
 
 simulate: $(VENV)/.tools  ## Run random scenarios in virtual time for ten minutes, or MINUTES=60
@@ -157,7 +140,10 @@ mutants: .venv-mutants/.installed  ## Put small faults into the rules, and check
 
 # Releases, and versions of others
 
-release: $(VENV)/.release $(VENV)/.docs  ## Prepare a release, VERSION=0.1.0: files, packages and site, without the upload
+ros: $(ROS_VENV)/.installed  ## Make .venv-ros, or with ROS=jazzy .venv-ros-jazzy: ROS 2 and interfaces
+	@$(no_other_ros) tests/ros2/build_interfaces.sh $(ROS_VENV)
+
+release: $(VENV)/.release $(VENV)/.docs  ## Prepare a release, VERSION=0.1.0, without the upload
 	$(no_other_ros) tests/tools/release/make.sh $(VERSION)
 
 lock:  ## Write the newest versions of the check's tools and libraries into tests/tools/lock.txt
@@ -172,8 +158,6 @@ clean:  ## Remove all generated files
 
 # The environments: each file says that a part is installed.
 
-.SECONDARY:
-
 $(VENV)/.installed: pyproject.toml
 	tests/tools/venv.sh $(VENV) -e .
 	@touch $@
@@ -186,29 +170,11 @@ $(VENV)/.bench $(VENV)/.fuzz $(VENV)/.release $(VENV)/.docs: $(VENV)/.tools
 	tests/tools/venv.sh $(VENV) --group $(@F:.%=%)
 	@touch $@
 
-# With dependencies that the tests must pass without; so have the environments of ROS.
+# With dependencies that the tests must pass without; so have the environments of ROS, whose wheels
+# start each Python of theirs twice.
 .venv-%/.installed: pyproject.toml
-	tests/tools/venv.sh .venv-$* $(if $(filter openapi %-agents,$*),,-e . --group test) --group $*
+	tests/tools/venv.sh .venv-$* -e . --group test --group $*
 	@touch $@
 
-build/%/.installed: pyproject.toml tests/tools/lowest.py
-	tests/tools/other_python.sh $(@D) $(if $(filter lowest,$*),$(LOWEST),$(*:python%=%))
-	@touch $@
-
-$(JAVASCRIPT)/.installed: tests/javascript/package.json tests/javascript/package-lock.json
-	@tests/javascript/install.sh $(JAVASCRIPT)
-
-build/frontends/.installed: tests/javascript/frontends/package.json tests/javascript/frontends/package-lock.json
-	@FIBACTION_NODE=required tests/javascript/install.sh build/frontends tests/javascript/frontends
-
-# ROS 2 has environments of its own, since its wheels start each Python of theirs twice: .venv-ros for
-# Kilted, .venv-ros-jazzy for Jazzy. A package of interfaces comes before those that need it.
-INTERFACES := examples/ros2/arduinobot_msgs tests/ros2/fibaction_test_msgs \
-    $(addprefix tests/ros2/interfaces/,nav2_msgs nav_msgs trajectory_msgs control_msgs moveit_msgs) \
-    $(addprefix tests/ros2/interfaces/,std_srvs tf2_msgs turtlesim)
-
-ros: $(ROS_VENV)/.interfaces  ## Make .venv-ros, or with ROS=jazzy .venv-ros-jazzy: ROS 2 and interfaces
-
-.venv-%/.interfaces: .venv-%/.installed examples/ros2/build_interfaces.py $(shell find $(INTERFACES) -type f)
-	$(no_other_ros) tests/ros2/build_interfaces.sh $(@D) "$?" $(INTERFACES)
-	@touch $@
+build/javascript/.installed: tests/javascript/package.json tests/javascript/package-lock.json
+	@tests/javascript/install.sh build/javascript

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Check the sdist and the wheel, and run tests against the wheel: `check.sh VERSION...`, with the other
-# versions of Python to install it with.
+# Check the sdist and the wheel, install it with each other version of Python that is here, and run
+# tests against it.
 #
 # The wheel is made from the sdist, as packagers do; and from the checkout, to compare. The code is
 # that of `make test`, so what runs against it is what a wheel can lack: modules, entry points, files.
@@ -10,7 +10,7 @@ rm -rf dist build/checkout build/consumer* build/wheel
 .venv/bin/python -m build --quiet --outdir build/checkout --wheel .
 .venv/bin/python -m twine check --strict dist/*
 tests/tools/venv.sh build/consumer dist/*.whl
-for version in "$@"; do
+for version in $(tests/tools/find_python.sh --others); do
     PYTHON=$(tests/tools/find_python.sh "$version") tests/tools/venv.sh "build/consumer$version" dist/*.whl
 done
 FIBACTION_BUILT=1 .venv/bin/python -m pytest tests/packaging
