@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
 import msgspec
-from anyio import sleep
+from anyio import CancelScope, sleep
 from anyio.lowlevel import RunVar
 from msgspec.structs import replace
 
@@ -102,14 +102,21 @@ class Levers:
     async def change(self, change: IntakeChange) -> Intake:
         """Change the intake, once that is kept, and return it. A drain ends before a pause does.
 
+        What is kept is followed at once, even if the caller has left meanwhile.
+
         Raises:
             ServerFailed: It cannot be kept.
         """
+        with CancelScope(shield=True):
+            await self._change(change)
+        return self._told()
+
+    async def _change(self, change: IntakeChange) -> None:
         change = replace(change, at=time.time_ns())
         drains = change.mode is IntakeMode.DRAIN
         undrains = self._is_draining and change.mode is IntakeMode.OPEN and not self._is_final
         if drains and self._is_draining:
-            return self._told()
+            return
         try:
             kept = await self._keeper.intakes.change_intake(
                 lambda kept: self._encoded(kept, change, is_noted=undrains)
@@ -129,7 +136,6 @@ class Levers:
             reason = f": {change.reason}" if change.reason else ""
             logger.warning("action %r %s%s%s", self._action, MEANINGS[change.mode], by, reason)
         await self._follow(kept)
-        return self._told()
 
     def _encoded(self, kept: bytes, change: IntakeChange, *, is_noted: bool) -> bytes:
         """Return what is to be kept in place of `kept`; a change may only be noted."""
@@ -152,8 +158,7 @@ class Levers:
             self._intake = self._decoded(kept)
             self._rule.follow(self._intake)
             self._capacity.update()
-            if not self._rule.holds:
-                await self._runs.begin_held()
+            await self._runs.follow_intake()
 
     def _told(self) -> Intake:
         return replace(self._intake, mode=IntakeMode.DRAIN) if self._is_draining else self._intake

@@ -164,13 +164,14 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
     async def drain(self, timeout: float, together: Sequence[GoalRegistry]) -> None:
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
         seconds. Goals that active ones have sent, also those of other registries, are accepted.
+        While the action is paused, goals that have not begun are not waited for.
         """
         self.levers.finish()
         self.admission.drain(together)
         self.capacity.close()
         with move_on_after(timeout):
             await self.keeper.settled()  # what is accepted by then is active
-            while self.runs.are_left:
+            while self.runs.are_going_on:
                 await self.logs.ended.wait()
 
     def close(self) -> None:

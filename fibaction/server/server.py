@@ -258,7 +258,8 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
     ) -> None:
         """Reject new goals as busy, and wait until the active ones have ended, at most `timeout`
         seconds. The steps of active ones are still accepted: of this server's, and of those
-        of the servers that drain `together` with it.
+        of the servers that drain `together` with it. Goals that have not begun, since the action is
+        paused, are not waited for.
 
         Clients of a fleet then send their goals to other servers. The server keeps rejecting when
         this returns, even if it is canceled; `stop()` ends what is left.

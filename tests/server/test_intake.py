@@ -16,6 +16,7 @@ from fibaction import (
     ActionClient,
     ActionServer,
     GoalHandle,
+    GoalKept,
     GoalRejected,
     GoalStatus,
     RejectionCode,
@@ -102,7 +103,7 @@ async def test_goals_that_waited_begin_until_the_next_pause() -> None:
             await server.change_intake(OPEN)
             assert (await driver.statuses()).count(GoalStatus.EXECUTING) == 1
             rule.holds, runs.begin = False, begin  # type: ignore[method-assign]  # as it was
-            await runs.begin_held()
+            await runs.follow_intake()
             assert (await driver.statuses()).count(GoalStatus.EXECUTING) == 3
 
 
@@ -304,3 +305,92 @@ async def test_changes_that_are_only_noted_count_in_the_bound_of_those_that_are_
             await server.change_intake(DRAIN)
             await server.change_intake(OPEN)
         assert len((await server.intake()).changes) == MOST_CHANGES
+
+
+class SlowSource(IntakeSource):
+    """A source that keeps a change, and tells that later."""
+
+    def __init__(self) -> None:
+        self.kept, self.tell = anyio.Event(), anyio.Event()
+
+    async def change_intake(self, change: Any) -> bytes:
+        kept = await super().change_intake(change)
+        self.kept.set()
+        await self.tell.wait()
+        return kept
+
+
+@pytest.mark.parametrize("change", [REFUSE, DRAIN])
+async def test_a_change_that_is_kept_is_followed_although_its_operator_has_left(
+    change: IntakeChange,
+) -> None:
+    driver = Driver()
+    with anyio.fail_after(20):
+        async with driver.server as server:
+            source = server._parts.keeper.intakes = SlowSource()
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(server.change_intake, change)
+                await source.kept.wait()
+                tasks.cancel_scope.cancel()
+                source.tell.set()
+            with pytest.raises(GoalRejected, match=r"paused|drains"):
+                await driver.client.send_goal(1)
+
+
+@pytest.mark.parametrize("at_stop", ["abort", "keep", None])
+@pytest.mark.parametrize("pauses_late", [False, True])
+async def test_a_drain_waits_for_no_goal_that_a_pause_keeps_from_beginning(
+    tmp_path: Path, at_stop: Any, pauses_late: bool
+) -> None:
+    kept: Any = {"store": SqliteStore(tmp_path / "goals.db"), "at_stop": at_stop} if at_stop else {}
+    driver = Driver(schedule=Schedule(concurrency=1, queue=9), **kept)
+    with anyio.fail_after(20):
+        async with driver.server as server, anyio.create_task_group() as tasks:
+            first = await driver.client.send_goal(1)
+            await anext(first.feedback)
+            goals = [await driver.client.send_goal(number) for number in (2, 3)]
+            if not pauses_late:
+                await server.change_intake(HOLD)
+            is_drained = anyio.Event()
+
+            async def drain() -> None:
+                await server.drain(timeout=600)
+                is_drained.set()
+
+            tasks.start_soon(drain)
+            await anyio.wait_all_tasks_blocked()
+            assert not is_drained.is_set()
+            if pauses_late:
+                await server.change_intake(HOLD)
+            driver.go_on.set()
+            assert await first.result() == "there"
+            await is_drained.wait()
+            assert await driver.statuses() == [GoalStatus.SUCCEEDED] + [GoalStatus.ACCEPTED] * 2
+            await server.stop()
+            for goal in goals:
+                if at_stop == "keep":
+                    with pytest.raises(GoalKept):
+                        await goal.outcome()
+                else:
+                    assert (await goal.outcome()).reason == "server stopped"
+
+
+async def test_a_pause_ends_a_drain_that_waits_for_goals_that_have_not_begun_only() -> None:
+    driver = Driver()
+    with anyio.fail_after(20):
+        async with driver.server as server, anyio.create_task_group() as tasks:
+            suspect: Any = object()
+            server._parts.runs.suspects.add(suspect, server._parts.runs)
+            await driver.client.send_goal(1)
+            is_drained = anyio.Event()
+
+            async def drain() -> None:
+                await server.drain(timeout=600)
+                is_drained.set()
+
+            tasks.start_soon(drain)
+            await anyio.wait_all_tasks_blocked()
+            assert not is_drained.is_set()
+            await server.change_intake(HOLD)
+            await is_drained.wait()
+            server._parts.runs.suspects._discard(suspect)

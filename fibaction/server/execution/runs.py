@@ -189,8 +189,11 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._dispatcher.hold(goal_id)
         self._tasks.start_soon(self._begin_later, run, name=f"goal of {self._action.name} waits")
 
-    async def begin_held(self) -> None:
-        """Begin the goals that have had their turn during a pause."""
+    async def follow_intake(self) -> None:
+        """Begin the goals that have had their turn during a pause, if it is over; let a drain look
+        again at what it waits for.
+        """
+        self._logs.ended.notify()
         slices = Slices()
         while self._held and not self._registry.intake.holds:
             goal_id = next(iter(self._held))
@@ -293,6 +296,15 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
     def are_left(self) -> bool:
         """True if there are active goals, or executors of lost ones."""
         return bool(self._runs or self.lost.executions)
+
+    @property
+    def are_going_on(self) -> bool:
+        """As `are_left`, but without goals that cannot begin, since the action is paused."""
+        if not self._registry.intake.holds:
+            return self.are_left
+        return bool(self.lost.executions) or any(
+            run.goal.phase is not WAITING for run in self._runs.values()
+        )
 
     def handle_of(self, goal_id: GoalID) -> GoalHandle[GoalT]:
         """Return the handle of an active goal."""

@@ -90,3 +90,29 @@ async def test_a_worker_that_drains_gets_no_goals_until_it_is_resumed(
             await endpoint.change_intake(IntakeChange(IntakeMode.OPEN, worker="a"))
             await endpoint.change_intake(IntakeChange(IntakeMode.DRAIN, worker="b"))
             assert {await client.call("x") for _ in range(4)} == {"a"}
+
+
+async def test_a_worker_of_a_paused_fleet_stops_at_once_and_leaves_what_waits_to_the_others(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    url = shared_broker.url(fleet)
+
+    async def move(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+        yield 1
+        yield "moved"
+
+    def server() -> ActionServer[Any, Any, Any]:
+        return ActionServer(MOVE, move, at_stop="keep")
+
+    with anyio.fail_after(60):
+        async with connect(url, MOVE) as client:
+            first = server()
+            async with serve(first, f"{url}?worker=a&lease=4"):
+                await client.wait_for_server()
+                await client.endpoint.change_intake(HOLD)
+                goal = await client.send_goal("x")
+                await first.drain(timeout=600)
+            async with serve(server(), f"{url}?worker=b&lease=4"):
+                await client.wait_for_server()
+                await client.endpoint.change_intake(OPEN)
+                assert await goal.result() == "moved"
