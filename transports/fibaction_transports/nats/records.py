@@ -28,6 +28,8 @@ INCARNATION_SIZE = 8
 """Bytes of an incarnation: random, so that no two workers ever have the same."""
 NONCE_SIZE = 4
 """Bytes of a nonce, which tells whether a stored entry is the one that was just written."""
+ROOM_TO_GROW = 512
+"""Bytes by which the record of a new goal may grow until its end, and those of its headers."""
 
 
 class GoalEntry(msgspec.Struct, array_like=True, gc=False):

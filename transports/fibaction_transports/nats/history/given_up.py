@@ -11,10 +11,14 @@ from fibaction.words.errors import ConnectionLost, StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, PutError, PutFailure
 from fibaction_transports.nats.names import FleetNames, action_of
-from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
+from fibaction_transports.nats.records import (
+    NONCE_SIZE,
+    ROOM_TO_GROW,
+    GoalEntry,
+    encode,
+    goal_entry,
+)
 
-ROOM_TO_GROW = 512
-"""Bytes that are added to the record of a goal that is to run again: see `record_writes`."""
 SECOND = 1_000_000_000
 
 

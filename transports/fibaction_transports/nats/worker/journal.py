@@ -34,7 +34,7 @@ from fibaction_transports.nats.broker.broker import (
 from fibaction_transports.nats.history.fleet_history import FleetHistory
 from fibaction_transports.nats.history.history_writes import HistoryWrites
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import LeaseEntry
+from fibaction_transports.nats.records import ROOM_TO_GROW, LeaseEntry
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
@@ -57,8 +57,6 @@ INTAKE_TRIES = 50
 """Times that a worker tries to change it, if others do so at the same time."""
 CLASH_PAUSE = 0.02
 """Seconds until it tries again, at most."""
-RESERVE = 512
-"""Bytes by which the record of an active goal may grow, and those of its headers."""
 
 
 class FleetJournal(FleetHistory, GoalJournal):
@@ -219,8 +217,8 @@ class FleetJournal(FleetHistory, GoalJournal):
         if not self._membership.check() or self._membership.incarnation != write.incarnation:
             self._taken_away(held)
             return
-        limit = self._broker.max_record - (RESERVE if write.kind in ("accept", "checkpoint") else 0)
-        if len(write.data) > limit:
+        spare = ROOM_TO_GROW if write.kind in ("accept", "checkpoint") else 0
+        if len(write.data) > self._broker.max_record - spare:
             self._answered(held, write, PutError(PutFailure.TOO_LARGE, ""))
             return
         subject = self._names.goal(self.action, held.goal_id)

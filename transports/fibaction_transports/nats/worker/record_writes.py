@@ -38,10 +38,19 @@ from fibaction.words.errors import ProtocolError, StoreError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import Broker, BrokerRecord
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import NONCE_SIZE, GoalEntry, encode, goal_entry
+from fibaction_transports.nats.records import (
+    NONCE_SIZE,
+    ROOM_TO_GROW,
+    GoalEntry,
+    encode,
+    goal_entry,
+)
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE, LONGEST_PAUSE
 
-ROOM_TO_GROW = {"accept": 512, "take": 448, "begin": 384, "cancel": 320}
+SPARE = {
+    kind: ROOM_TO_GROW - 64 * step
+    for step, kind in enumerate(("accept", "take", "begin", "cancel"))
+}
 """Bytes that are added to a record of this kind. Each later record of the goal has fewer, so that a
 full stream has room for it in place of the one before: for an end with a short result, too."""
 SECOND: Final = 1_000_000_000
@@ -75,7 +84,7 @@ class Write:
         self.stored = copy(goal)
         self.stored.worker = "" if kind == "release" else worker
         self.incarnation = incarnation
-        self.nonce = secrets.token_bytes(NONCE_SIZE) + bytes(ROOM_TO_GROW.get(kind, 0))
+        self.nonce = secrets.token_bytes(NONCE_SIZE) + bytes(SPARE.get(kind, 0))
         owner = b"" if kind == "release" else incarnation
         self.data = encode(GoalEntry(self.stored, owner, self.nonce))
         self.then = then
