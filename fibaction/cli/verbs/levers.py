@@ -5,7 +5,9 @@ from __future__ import annotations
 import getpass
 import math
 import socket
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any, NamedTuple, NoReturn
 
 import anyio
 import click
@@ -28,12 +30,49 @@ from fibaction.words.intake import IntakeChange, IntakeMode
 GOALS_PAUSE = 0.25
 """Seconds between two looks at the goals that a drain waits for."""
 
-names_argument = click.argument("names", metavar="[NAME]...", type=ACTION, nargs=-1)
 all_option = click.option("--all", "every", is_flag=True, help="All actions that are served.")
-reason_option = click.option(
-    "--reason", metavar="TEXT", default="", help="Why: it is told with each rejection, and noted."
-)
 worker_option = click.option("--worker", metavar="NAME", default="", help="One worker of a fleet.")
+
+
+class Lever(NamedTuple):
+    """The words of a user that all levers have in common."""
+
+    names: tuple[str, ...]
+    reason: str
+    namespace: Namespace
+    as_json: bool
+    url: str
+
+    def check_names(self, *, every: bool) -> None:
+        """Raise `Failure` if there are neither names nor `--all`, or both."""
+        if bool(self.names) is every:
+            raise Failure("name the actions, or give --all for all of them")
+
+    def move(self, mode: IntakeMode, *, worker: str = "", wait: float = 0.0) -> NoReturn:
+        """Change how the named actions take goals, or all if there are no names."""
+        names = tuple(map(self.namespace.absolute, self.names))
+        change = partial(operate, worker=worker, wait=wait, as_json=self.as_json)
+        run(change, self.url, names, self.namespace, mode, self.reason)
+
+
+def lever_options(function: Callable[..., NoReturn]) -> Callable[..., NoReturn]:
+    """Add the arguments and options of all levers to a verb. The function gets a `Lever`."""
+
+    @wraps(function)
+    def command(
+        names: tuple[str, ...],
+        reason: str,
+        namespace: Namespace,
+        as_json: bool,
+        url: str,
+        **own: Any,
+    ) -> NoReturn:
+        function(Lever(names, reason, namespace, as_json, url), **own)
+
+    reason_help = "Why: it is told with each rejection, and noted."
+    command = namespace_option(json_option(url_option(command)))
+    command = click.option("--reason", metavar="TEXT", default="", help=reason_help)(command)
+    return click.argument("names", metavar="[NAME]...", type=ACTION, nargs=-1)(command)
 
 
 @click.command(
@@ -43,62 +82,30 @@ Examples:
   fibaction pause drive --reason "the floor is wet"
   fibaction pause drive --refuse""",
 )
-@names_argument
 @all_option
 @click.option("--refuse", is_flag=True, help="Reject new goals as busy, instead of letting wait.")
-@reason_option
-@namespace_option
-@json_option
-@url_option
-def pause_command(
-    names: tuple[str, ...],
-    every: bool,
-    refuse: bool,
-    reason: str,
-    namespace: Namespace,
-    as_json: bool,
-    url: str,
-) -> None:
+@lever_options
+def pause_command(lever: Lever, every: bool, refuse: bool) -> NoReturn:
     """Pause the actions NAME: goals that run end as usual, and no other goal begins. New goals
     wait until you resume the action, or are rejected with --refuse. All workers of a fleet pause,
     and a server with a store stays paused when it is started again.
 
     You need the permission OPERATE. Your name and the reason are noted.
     """
-    mode = IntakeMode.REFUSE if refuse else IntakeMode.HOLD
-    run(
-        operate,
-        url,
-        _chosen(names, namespace, every=every),
-        namespace,
-        mode,
-        reason,
-        as_json=as_json,
-    )
+    lever.check_names(every=every)
+    lever.move(IntakeMode.REFUSE if refuse else IntakeMode.HOLD)
 
 
 @click.command("resume", epilog="\b\nExample:\n  fibaction resume drive")
-@names_argument
 @all_option
 @worker_option
-@reason_option
-@namespace_option
-@json_option
-@url_option
-def resume_command(
-    names: tuple[str, ...],
-    every: bool,
-    worker: str,
-    reason: str,
-    namespace: Namespace,
-    as_json: bool,
-    url: str,
-) -> None:
+@lever_options
+def resume_command(lever: Lever, every: bool, worker: str) -> NoReturn:
     """Let the actions NAME take goals again. A server that drains and is paused has only the drain
     ended; resume it once more.
     """
-    chosen = _chosen(names, namespace, every=every)
-    run(operate, url, chosen, namespace, IntakeMode.OPEN, reason, worker=worker, as_json=as_json)
+    lever.check_names(every=every)
+    lever.move(IntakeMode.OPEN, worker=worker)
 
 
 @click.command(
@@ -108,44 +115,19 @@ Examples:
   fibaction drain --wait 600
   fibaction drain --worker arm-1 -u nats://127.0.0.1/robots""",
 )
-@names_argument
 @worker_option
 @click.option(
     "--wait", metavar="SECONDS", type=NumberType(), help="Wait so long until no goal is active."
 )
-@reason_option
-@namespace_option
-@json_option
-@url_option
-def drain_command(
-    names: tuple[str, ...],
-    worker: str,
-    wait: float | None,
-    reason: str,
-    namespace: Namespace,
-    as_json: bool,
-    url: str,
-) -> None:
+@lever_options
+def drain_command(lever: Lever, worker: str, wait: float | None) -> NoReturn:
     """Drain a server, or one worker of a fleet, before you stop it: it rejects new goals as busy,
     but for steps of active ones, and the others run to their ends. With NAME, only those actions.
 
     It ends with the process, or when you resume the actions. With --wait, the exit code is 5 if
     goals are still active after that time.
     """
-    chosen = tuple(namespace.absolute(name) for name in names)
-    drain = partial(operate, worker=worker, wait=wait or 0.0, as_json=as_json)
-    run(drain, url, chosen, namespace, IntakeMode.DRAIN, reason)
-
-
-def _chosen(names: tuple[str, ...], namespace: Namespace, *, every: bool) -> tuple[str, ...]:
-    """Return the names that a user means; none for all actions.
-
-    Raises:
-        Failure: There are neither names nor `--all`, or both.
-    """
-    if bool(names) is every:
-        raise Failure("name the actions, or give --all for all of them")
-    return tuple(namespace.absolute(name) for name in names)
+    lever.move(IntakeMode.DRAIN, worker=worker, wait=wait or 0.0)
 
 
 async def operate(
