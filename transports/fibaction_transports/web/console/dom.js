@@ -1,5 +1,7 @@
 /** Helpers to build the page. Text always becomes text, and never HTML. */
 
+const STEPS_OF_PROGRESS = 200;
+
 /** Return a new element; `on...` are listeners, the other properties are attributes. */
 export function h(tag, properties = {}, ...children) {
   return fill(document.createElement(tag), properties, children);
@@ -42,10 +44,12 @@ export function tellError(place, text) {
 
 /** Mark a link as the one to what is shown, or as another. */
 export function markCurrent(link, isCurrent, how = "true") {
-  if (isCurrent) {
-    link.setAttribute("aria-current", how);
-  } else {
-    link.removeAttribute("aria-current");
+  if (link.getAttribute("aria-current") !== (isCurrent ? how : null)) {
+    if (isCurrent) {
+      link.setAttribute("aria-current", how);
+    } else {
+      link.removeAttribute("aria-current");
+    }
   }
 }
 
@@ -60,6 +64,14 @@ export function setText(element, text) {
 export function show(element, isShown) {
   if (element.hidden === isShown) {
     element.hidden = !isShown;
+  }
+}
+
+/** Let a bar show a progress, in steps that can be seen: each makes the browser lay out its parts. */
+export function setProgress(bar, progress) {
+  const value = Math.round(progress * STEPS_OF_PROGRESS) / STEPS_OF_PROGRESS;
+  if (bar.value !== value) {
+    bar.value = value;
   }
 }
 

@@ -1,6 +1,6 @@
 /** The columns of a list of goals: those that a person can choose, and how a list is sorted. */
 
-import { h, setText, show } from "./dom.js";
+import { h, setProgress, setText, show } from "./dom.js";
 import { labelsOf } from "./goal_filter.js";
 import { breakable, durationOf, linkTo, shortId, showBadge, timeOf } from "./goal_text.js";
 import { resolverOf } from "./schema.js";
@@ -121,15 +121,15 @@ export class Cell {
   }
 
   /** Show the goal as it is now; the reason goes into another column if there is one. */
-  update(record, hasReason) {
+  update(record, hasReason, now) {
     if (this.badge) {
       showBadge(this.badge, record);
       show(this.bar, record.isActive && record.progress !== null);
-      this.bar.value = record.progress ?? 0;
+      setProgress(this.bar, record.progress ?? 0);
     } else if (this.labels) {
       this.showRequest(record, hasReason);
     } else if (this.column !== "action") {
-      this.write(this.textOf(record));
+      this.write(this.textOf(record, now));
     }
   }
 
@@ -152,16 +152,16 @@ export class Cell {
     }
   }
 
-  textOf(record) {
+  textOf(record, now) {
     const { sentAt, startedAt, endedAt } = record;
     switch (this.column) {
       case "labels": return labelsOf(record).join(" ");
       case "reason": return record.reason;
       case "client": return record.isMine ? "this page" : record.client;
       case "worker": return record.worker;
-      case "time": return [this.clockOf(sentAt), lasting(record, record.seconds())].filter(Boolean).join(", ");
+      case "time": return [this.clockOf(sentAt), lasting(record, record.seconds(now))].filter(Boolean).join(", ");
       case "waited": return startedAt ? durationOf(Math.max(startedAt - sentAt, 0) / 1000) : "";
-      case "ran": return startedAt ? lasting(record, Math.max((endedAt || Date.now()) - startedAt, 0) / 1000) : "";
+      case "ran": return startedAt ? lasting(record, Math.max((endedAt || now) - startedAt, 0) / 1000) : "";
       default: return this.fieldOf(record.goal);
     }
   }

@@ -11,8 +11,32 @@ import { SavedViews } from "./saved_views.js";
 
 const [BOX, ID, ACT] = [34, 104, 80]; // the shares of the width of the columns that each list has
 const LEAST = 0.83;
+const AGES = 500; // milliseconds between two changes of ages, which all rows have at once
+const NEAR = "300px";
 
-/** One goal in a table. */
+/** Tells rows whether they are in view, or nearly. */
+class Sight {
+  constructor(onchange) {
+    this.rows = new WeakMap();
+    this.observer = new IntersectionObserver((entries) => {
+      entries.forEach(({ target, isIntersecting }) => {
+        this.rows.get(target).isInView = isIntersecting;
+      });
+      onchange();
+    }, { rootMargin: NEAR });
+  }
+
+  add(row) {
+    this.rows.set(row.element, row);
+    this.observer.observe(row.element);
+  }
+
+  remove(row) {
+    this.observer.unobserve(row.element);
+  }
+}
+
+/** One goal in a table, which is written when it changes; its age and its progress only in view. */
 class Row {
   constructor(record, columns, { oncancel, onchoose }) {
     this.link = h("a", { href: linkTo(record.action, record.id) }, shortId(record.id));
@@ -22,6 +46,8 @@ class Row {
     this.cancel = button("Cancel", () => oncancel(this.record), { class: "quiet", "aria-label": name });
     this.cells = columns.map((column) => new Cell(column, record));
     this.hasReason = columns.includes("reason");
+    this.isInView = false;
+    this.written = [];
     const ends = [h("td", { class: "box" }, this.box), h("td", { class: "id" }, this.link, this.step)];
     this.element = h("tr", {}, ...ends, ...this.cells.map((cell) => cell.element), h("td", { class: "act" }, this.cancel));
     this.element.addEventListener("click", (event) => {
@@ -33,6 +59,17 @@ class Row {
 
   update(record, isShown, query, isChosen) {
     this.record = record;
+    const now = Math.floor(Date.now() / AGES) * AGES;
+    const { status, goal, reason, labels, parent, place, queueLength, awayAt, client, isMine, worker, sentAt, startedAt, endedAt } = record;
+    const lively = this.isInView && record.isActive ? [now, record.progress] : [];
+    const state = [record, isShown, query, isChosen, status, goal, reason, labels, parent, place, queueLength, awayAt, client, isMine, worker, sentAt, startedAt, endedAt, ...lively];
+    if (state.length !== this.written.length || state.some((one, index) => one !== this.written[index])) {
+      this.written = state;
+      this.write(record, isShown, query, isChosen, now);
+    }
+  }
+
+  write(record, isShown, query, isChosen, now) {
     const address = linkTo(record.action, record.id) + query;
     if (this.address !== address) {
       this.address = address;
@@ -42,7 +79,7 @@ class Row {
     if (record.parent) {
       setText(this.step, `${stepOf(record.parent)} of ${shortId(record.parent.id)}`);
     }
-    this.cells.forEach((cell) => cell.update(record, this.hasReason));
+    this.cells.forEach((cell) => cell.update(record, this.hasReason, now));
     this.box.checked = isChosen;
     show(this.cancel, record.isActive && record.status !== "CANCELING");
     this.element.classList.toggle("current", isShown);
@@ -56,6 +93,7 @@ export class GoalList {
     this.store = store;
     this.mayForget = Boolean(onforget);
     this.rows = new Map();
+    this.sight = new Sight(() => store.change());
     this.found = new FoundGoals(store);
     this.layout = new ListLayout(info, withAction, onfilter);
     this.filter = new GoalFilter(this.layout, onfilter);
@@ -94,9 +132,10 @@ export class GoalList {
     this.shown = page.goals;
     this.updateHead();
     const keys = new Set(page.goals.map((goal) => goal.key));
-    for (const key of this.rows.keys()) {
+    for (const [key, row] of this.rows) {
       if (!keys.has(key)) {
         this.rows.delete(key);
+        this.sight.remove(row);
       }
     }
     const { query } = filter;
@@ -115,8 +154,12 @@ export class GoalList {
   }
 
   rowOf(goal, isShown, query) {
-    const row = this.rows.get(goal.key) ?? new Row(goal, this.layout.columns, this.options);
-    this.rows.set(goal.key, row);
+    let row = this.rows.get(goal.key);
+    if (!row) {
+      row = new Row(goal, this.layout.columns, this.options);
+      this.rows.set(goal.key, row);
+      this.sight.add(row);
+    }
     row.update(goal, isShown, query, this.chosen.has(goal));
     return row.element;
   }
@@ -129,6 +172,7 @@ export class GoalList {
       return;
     }
     this.headed = now;
+    this.rows.forEach((row) => this.sight.remove(row));
     this.rows.clear();
     const heads = columns.map((column) => {
       const by = sortOf(column);

@@ -29,6 +29,7 @@ export class GoalRecord {
   constructor(action, id, info) {
     this.action = action;
     this.id = id;
+    this.key = `${action}/${id}`;
     this.info = info;
     this.status = "ACCEPTED";
     this.sentAt = 0;
@@ -63,10 +64,6 @@ export class GoalRecord {
     this.series = new Series(charts);
     this.trails = places.feedback.filter((place) => !place.isPath).map((place) => new Trail(place));
     this.readProgress = progressReader(progress);
-  }
-
-  get key() {
-    return `${this.action}/${this.id}`;
   }
 
   get isActive() {

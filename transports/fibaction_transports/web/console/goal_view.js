@@ -2,7 +2,7 @@
 
 import { shapeOf } from "./action_shape.js";
 import { Comparison } from "./comparison.js";
-import { button, h, setText, show } from "./dom.js";
+import { button, h, setProgress, setText, show } from "./dom.js";
 import { FeedbackView } from "./feedback_view.js";
 import { GoalFamily } from "./goal_family.js";
 import { labelsOf } from "./goal_filter.js";
@@ -106,7 +106,7 @@ export class GoalView {
     setText(this.reason, record.reason);
     show(this.reason, Boolean(record.reason));
     show(this.bar, record.progress !== null);
-    this.bar.value = record.status === "SUCCEEDED" ? 1 : (record.progress ?? 0);
+    setProgress(this.bar, record.status === "SUCCEEDED" ? 1 : (record.progress ?? 0));
     setText(this.goal, record.goal === undefined ? "not known" : textOf(record.goal));
     setText(this.result, resultOf(record));
     show(this.cancel, record.isActive && record.status !== "CANCELING");

@@ -166,7 +166,7 @@ class Console {
       return;
     }
     const { action, goal, query } = shownIn(window.location.hash, this.store.actions);
-    const record = this.store.goalsOf(action).find((one) => goal && one.id.startsWith(goal));
+    const record = goal && this.store.goalsOf(action).find((one) => one.id.startsWith(goal));
     const isSame = this.store.shown.action === action && this.store.shown.goal === (record?.key ?? "");
     if (!isSame) {
       this.store.show(action, record?.id);
@@ -229,7 +229,10 @@ class Console {
     const { state, away } = this.store;
     const more = state === "ready" && away.size ? `, ${away.size === 1 ? "a server is" : "servers are"} away` : "";
     setText(this.status, (words[state] ?? state) + more);
-    this.status.dataset.state = more ? "lost" : state;
+    const shown = more ? "lost" : state;
+    if (this.status.dataset.state !== shown) {
+      this.status.dataset.state = shown;
+    }
     this.actions.update();
     this.page.update();
     this.page.tellMissing(this.missing());

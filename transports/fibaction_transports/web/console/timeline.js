@@ -8,6 +8,7 @@ const MOST_GOALS = 12;
 const ROW = 18;
 const LETTER = 7.4;
 const LEAST_SECONDS = 5;
+const REDRAW = 250; // milliseconds between two moves of the bars of active goals
 
 export class Timeline {
   constructor({ withAction }) {
@@ -31,7 +32,12 @@ export class Timeline {
     if (!width || !newest.length) {
       return;
     }
-    const now = Date.now();
+    const now = Math.floor(Date.now() / REDRAW) * REDRAW;
+    const drawn = [width, shown, newest.some((goal) => goal.isActive) && now, ...newest.map(({ key, status, place, awayAt, startedAt, endedAt }) => [key, status, place, awayAt, startedAt, endedAt])].join();
+    if (drawn === this.drawn) {
+      return;
+    }
+    this.drawn = drawn;
     const start = Math.min(...newest.map((goal) => goal.sentAt));
     const end = Math.max(start + LEAST_SECONDS * 1000, ...newest.map((goal) => endOf(goal, now)));
     const names = newest.map((goal) => (this.withAction ? `${shortId(goal.id)} ${goal.action}` : shortId(goal.id)));
