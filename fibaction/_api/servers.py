@@ -17,7 +17,7 @@ from fibaction.border.abc import Endpoint, Startable, Transport
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.border.watchers import Watcher
-from fibaction.client.kept_block import KeptBlock
+from fibaction.client.kept_connection import KeptBlock
 from fibaction.types.action import Action
 from fibaction.words.errors import TransportError
 

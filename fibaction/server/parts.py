@@ -34,16 +34,15 @@ from fibaction.border.event_loop import Background, Slices, loop_clock
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.cancels import Cancels
-from fibaction.server.capacity import Capacity
 from fibaction.server.durability.keeper import STORE_IS_LATE, Keeper, KeeperEvents
-from fibaction.server.durability.past_goals import PastGoals
 from fibaction.server.durability.recovery import Recovery
+from fibaction.server.durability.stored_goals import PastGoals
 from fibaction.server.execution.abandoned import warn_of_kill
 from fibaction.server.execution.executor import Runner
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
-from fibaction.server.intake import Levers
+from fibaction.server.intake import Capacity, Levers
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher

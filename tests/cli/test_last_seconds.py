@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from fibaction.cli.process.last_seconds import LastSeconds
+from fibaction.cli.process.signals import LastSeconds
 
 
 @pytest.fixture

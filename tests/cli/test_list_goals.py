@@ -27,8 +27,8 @@ from fibaction import (
 )
 from fibaction.cli.arguments.goal_lookup import GoalChoice
 from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.output.goal_details import MOST_ENDS, Outcomes
 from fibaction.cli.output.goal_table import GoalRow, picture
-from fibaction.cli.output.outcomes import MOST_ENDS, Outcomes
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import list_goals
 from fibaction.cli.verbs.list_goals import Form

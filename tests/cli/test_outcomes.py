@@ -7,7 +7,7 @@ import pytest
 
 from fibaction import ActionClient, GoalAborted, GoalStatus, UnknownGoal
 from fibaction.cli.arguments.goal_lookup import goals_of
-from fibaction.cli.output.outcomes import Outcomes
+from fibaction.cli.output.goal_details import Outcomes
 from fibaction.observe.monitor import AnyClient
 from tests.cli.served import Altered, counter
 

@@ -9,7 +9,7 @@ import anyio
 import pytest
 from anyio import to_thread
 
-from fibaction.client.kept_block import KeptBlock
+from fibaction.client.kept_connection import KeptBlock
 
 pytestmark = pytest.mark.anyio
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM.
+"""Ctrl-C and SIGTERM, and the end of a process whose threads do not end (`LastSeconds`).
 
 - Before a verb runs, Ctrl-C exits at once: `fibaction.cli.main`.
 - `send_goal` cancels the goal at the first Ctrl-C and leaves at the second: `send_goal.py`.
@@ -20,16 +20,20 @@ Ctrl-Break and by a program that stops another one.
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager, suppress
+from threading import Thread, Timer
+from threading import enumerate as enumerate_threads
 from typing import Any, Final, Self, TypeAlias
 
 import anyio
 
+from fibaction._runtime.log import clean_logger
 from fibaction.border.event_loop import Background, asyncio_loop
 from fibaction.cli.process.exit_codes import ExitCode
 
@@ -41,6 +45,7 @@ NUMBERS: Final = tuple(
 """The signals that end a verb."""
 MOST_WAITING_SIGNALS = 8
 """Signals that may come before they are taken; more count as these."""
+logger = clean_logger("fibaction.cli")
 
 
 def handle_with(handler: Handler) -> None:
@@ -236,3 +241,37 @@ def end_by(number: signal.Signals) -> None:
     """End this process as that signal does in a process without a handler."""
     signal.signal(number, signal.SIG_DFL)
     os.kill(os.getpid(), number)
+
+
+class LastSeconds:
+    """A block that ends the process if it does not end by itself soon after `begin()`.
+
+    Python waits for threads at the end of the event loop and of the process. An executor may have
+    started one that never ends, and the process was told to end.
+    """
+
+    def __init__(self, seconds: float, code: int) -> None:
+        self._timer = Timer(seconds, end_now, [code])
+        self._timer.daemon = True
+        self._before: set[Thread] = set()
+
+    def __enter__(self) -> Self:
+        self._before.update(enumerate_threads())
+        return self
+
+    def begin(self) -> None:
+        """Begin to count the seconds."""
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        if all(thread.daemon for thread in set(enumerate_threads()) - self._before):
+            self._timer.cancel()
+
+
+def end_now(code: int) -> None:
+    """End this process with that code, without waiting for threads and tasks."""
+    logger.warning("this process ends without its threads and tasks that do not end")
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -26,6 +26,7 @@ from fibaction.cli.arguments.goal_lookup import (
 )
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import json_option, url_option
+from fibaction.cli.output.goal_details import Outcomes, with_outcome
 from fibaction.cli.output.goal_table import (
     CSV_COLUMNS,
     Family,
@@ -36,7 +37,6 @@ from fibaction.cli.output.goal_table import (
     picture,
 )
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_csv, say_json
-from fibaction.cli.output.outcomes import Outcomes, with_outcome
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.cli.verbs.echo import EventPrinter, print_events

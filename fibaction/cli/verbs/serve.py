@@ -23,10 +23,9 @@ from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
-from fibaction.cli.process.last_seconds import LastSeconds
 from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
-from fibaction.cli.process.signals import stop_signals
+from fibaction.cli.process.signals import LastSeconds, stop_signals
 from fibaction.observe.metrics import Metrics
 from fibaction.observe.metrics_server import serve_metrics
 from fibaction.observe.recordings.recorder import Recorder

@@ -27,7 +27,7 @@ continues.
 Code of anyio and trio expects a cancellation by level: the exit of `anyio.abc.Process`, for
 example, waits for its process, and kills it when it is canceled again. So while the coroutine waits
 in such an exit, which its cancellation passes, the shield is open, and each `await` there is
-canceled (see `exits`). When the executor's own code waits, the shield is set again.
+canceled (`leaves_by_level`). When the executor's own code waits, the shield is set again.
 
 Inside a task group of the executor's own, the backend's rule holds: the group is canceled with all
 its tasks, and clean-up there needs a shield of its own. On trio, a nursery that is open around
@@ -49,18 +49,24 @@ import math
 from collections.abc import Callable, Coroutine, Generator
 from contextvars import Context
 from enum import IntEnum
+from gc import get_referents
 from time import perf_counter
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Generic, TypeVar
 
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
 from fibaction.server.execution.abandoned import MOST_KILLS, AbandonedCoroutine, keep_for_ever
-from fibaction.server.execution.exits import leaves_by_level
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")
+BY_LEVEL = ("anyio", "trio")
+"""The packages whose code expects that each `await` is canceled until its scope is left."""
+BENEATH = (*BY_LEVEL, "asyncio", "contextlib")
+"""The packages in whose code that of the first ones waits."""
+_KINDS = (("cr_frame", "cr_await"), ("ag_frame", "ag_await"), ("gi_frame", "gi_yieldfrom"))
+"""The attributes of what can wait: its frame, and what it awaits."""
 
 
 class ScopesPhase(IntEnum):
@@ -337,3 +343,29 @@ class Stepper(Generator[Any, Any, T], Generic[T]):
         Such a nursery must see that the cancellation comes from outside, or it would absorb it.
         """
         return current_effective_deadline() == -math.inf
+
+
+def leaves_by_level(coroutine: Any) -> bool:
+    """Return whether the coroutine waits in the `__aexit__` of a resource of `BY_LEVEL` that its
+    cancellation passes, and not in other code which that calls.
+    """
+    canceled, leaves = get_cancelled_exc_class(), False
+    for frame in _frames_of(coroutine):
+        package = frame.f_globals.get("__name__", "").partition(".")[0]
+        if package not in BENEATH:
+            leaves = False
+        elif package in BY_LEVEL and frame.f_code.co_name == "__aexit__":
+            leaves = leaves or any(isinstance(one, canceled) for one in frame.f_locals.values())
+    return leaves
+
+
+def _frames_of(awaited: Any) -> Generator[FrameType, None, None]:
+    """Yield the frames of a coroutine that waits, from the outermost one."""
+    while awaited is not None:
+        kind = next((one for one in _KINDS if hasattr(awaited, one[0])), None)
+        if kind is not None:
+            yield getattr(awaited, kind[0])
+            awaited = getattr(awaited, kind[1])
+        else:  # a step of an async generator names it to the garbage collector only
+            steps: list[Any] = [one for one in get_referents(awaited) if hasattr(one, "ag_await")]
+            awaited = steps[0] if steps else None

@@ -42,14 +42,30 @@ from typing import TYPE_CHECKING, NamedTuple
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server.registry.cancellation import Cancellation
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord, Rejection
-from fibaction.server.registry.intake_rule import IntakeRule
 from fibaction.server.registry.kept_results import ExpiringMap, HeldBytes, KeptResults
 from fibaction.words.errors import GoalRejected, RejectionCode
 from fibaction.words.goals import ID_IN_USE, NO_GOAL, CancelCode, GoalID, Outcome, Sender, digest_of
+from fibaction.words.intake import Intake, IntakeMode
 from fibaction.words.statuses import GoalEvent, GoalStatus, transition
 
 if TYPE_CHECKING:
     from fibaction.border.goal_store import StoredGoal
+
+
+class IntakeRule:
+    """The consequences for the goals of one server."""
+
+    def __init__(self) -> None:
+        self.holds = False
+        """True if no goal begins that waits."""
+        self.busy = ""
+        """The reason for which new goals are rejected; empty if they are not."""
+
+    def follow(self, intake: Intake) -> None:
+        """Let goals wait, and reject new ones, by an intake."""
+        self.holds = intake.mode is not IntakeMode.OPEN
+        self.busy = f"busy: {intake.text}" if intake.mode is IntakeMode.REFUSE else ""
+
 
 MAX_GOALS = 20_000
 """Goals that are active at the same time."""

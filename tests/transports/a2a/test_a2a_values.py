@@ -11,8 +11,8 @@ from google.protobuf.json_format import MessageToDict
 
 from fibaction.schema.payload import JsonCodec
 from fibaction.types.action import ActionInfo
-from fibaction_transports.a2a.a2a_values import data_part, has_inexact, shown_text
 from fibaction_transports.a2a.agent_card import Skill
+from fibaction_transports.a2a.documents import data_part, has_inexact, shown_text
 from fibaction_transports.a2a.task_views import AFTER_RESULT, page_of, position_of, status_of
 
 ANY = JsonCodec({}, "result")

@@ -23,8 +23,8 @@ from mcp_types import (
 
 from fibaction import serve
 from fibaction.schema.payload import JsonCodec
-from fibaction_transports._agents import open_questions
-from fibaction_transports._agents.goal_text import HiddenGoal, goal_text
+from fibaction_transports._agents import questions
+from fibaction_transports._agents.questions import HiddenGoal, goal_text
 from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
@@ -88,7 +88,7 @@ async def test_a_client_that_cannot_ask_sends_nothing_but_what_is_permitted(mode
 async def test_a_tool_sends_no_goal_that_is_too_long_to_be_shown(
     mode: Mode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports._agents.goal_text.LONGEST_GOAL", 10)
+    monkeypatch.setattr("fibaction_transports._agents.questions.LONGEST_GOAL", 10)
     async with robot_and_talk(mode, answer="accept") as (robot, made):
         assert "can be shown 10" in await made.error("arm-drive", meters=3)
         assert made.asked == []
@@ -198,7 +198,7 @@ async def test_an_answer_counts_once_and_for_the_same_goal_only(
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)
 
-        monkeypatch.setattr(open_questions, "QUESTION_TIMEOUT", -1.0)
+        monkeypatch.setattr(questions, "QUESTION_TIMEOUT", -1.0)
         state = await rounds.ask(3)
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)
@@ -219,7 +219,7 @@ async def test_a_second_call_without_an_answer_sends_nothing() -> None:
 async def test_the_oldest_of_too_many_questions_is_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(open_questions, "MOST_QUESTIONS", 2)
+    monkeypatch.setattr(questions, "MOST_QUESTIONS", 2)
     async with robot_and_talk("auto", answer="accept") as (robot, made):
         rounds = Rounds(made)
         states = [await rounds.ask() for _ in range(3)]

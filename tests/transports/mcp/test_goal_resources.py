@@ -12,7 +12,7 @@ from mcp.shared.subscriptions import ResourcesListChanged, ResourceUpdated
 from mcp_types import TextResourceContents
 from mcp_types.jsonrpc import INVALID_PARAMS
 
-from fibaction_transports.mcp import answers, goal_resources
+from fibaction_transports.mcp import answers, tool_server
 from tests.transports.driving_robot import PATIENCE
 from tests.transports.mcp.robot import MODES, UNASKED, Mode, Talk, robot_and_talk, sent_by_others
 
@@ -70,7 +70,7 @@ async def test_a_resource_that_is_not_there_is_an_error(uri: str) -> None:
 
 
 async def test_the_newest_goals_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_resources, "MOST_LISTED", 1)
+    monkeypatch.setattr(tool_server, "MOST_LISTED", 1)
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         await sent_by_others(robot, 100)
         newest = str((await sent_by_others(robot, 101)).goal_id)
@@ -97,7 +97,7 @@ class Heard:
 
 
 async def test_a_client_is_told_when_a_goal_changes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(goal_resources, "PERIOD", 0.01)
+    monkeypatch.setattr(tool_server, "PERIOD", 0.01)
     async with robot_and_talk("auto", UNASKED) as (robot, made):
         heard: Any = Heard()
         monkeypatch.setattr(made.bridge._tools._changes, "publish", heard.publish)

@@ -21,7 +21,7 @@ from mcp_types.jsonrpc import (
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
-from fibaction_transports._agents import open_questions
+from fibaction_transports._agents import questions
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
@@ -241,12 +241,12 @@ async def test_a_task_whose_answer_is_cut_while_its_goal_is_sent_is_canceled(
 async def test_a_question_of_a_task_expires_and_only_so_many_wait(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(open_questions, "MOST_QUESTIONS", 1)
+    monkeypatch.setattr(questions, "MOST_QUESTIONS", 1)
     async with tasking(AgentPolicy(), elicitation_callback=yes) as (_, client):
         one, two = await asked(client, meters=3), await asked(client, meters=3)
         assert (await error_of(client, "tasks/get", one))[0] == INVALID_PARAMS
         assert (await ask(client, "tasks/get", two))["status"] == "input_required"
-        monkeypatch.setattr(open_questions, "QUESTION_TIMEOUT", 0)
+        monkeypatch.setattr(questions, "QUESTION_TIMEOUT", 0)
         late = await asked(client, meters=3)
         assert (await error_of(client, "tasks/get", late))[0] == INVALID_PARAMS
 

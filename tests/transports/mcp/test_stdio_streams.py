@@ -15,7 +15,7 @@ import pytest
 
 from fibaction import InvalidURL, TransportError, serve
 from fibaction.border.urls import transport_for
-from fibaction_transports.mcp import McpBridge, McpStdioTransport, mcp_stdio_transport
+from fibaction_transports.mcp import McpBridge, McpStdioTransport, mcp_transport
 from tests.transports.driving_robot import PATIENCE
 from tests.transports.mcp.robot import UNASKED, Robot
 
@@ -149,7 +149,7 @@ async def test_only_one_serves_over_them(monkeypatch: pytest.MonkeyPatch) -> Non
     def taken(*_: Any, **__: Any) -> Any:
         raise RuntimeError("another one has claimed it")
 
-    monkeypatch.setattr(mcp_stdio_transport, "stdio_streams", taken)
+    monkeypatch.setattr(mcp_transport, "stdio_streams", taken)
     with pytest.raises(TransportError, match="is served already by this process"):
         async with serve(Robot().drive, "mcp+stdio://"):
             pass

@@ -29,9 +29,9 @@ from fibaction import (
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
 from fibaction_transports._socket_lines import on_anyio
-from fibaction_transports._socket_lines.client_tls import ClientTls
 from fibaction_transports._socket_lines.tls import TlsChannel, TlsListener
 from fibaction_transports._socket_lines.tls_frames import TlsEnd
+from fibaction_transports._socket_lines.tls_lines import ClientTls
 from fibaction_transports.tcp import TcpTransport, TlsFiles
 from tests.support.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw

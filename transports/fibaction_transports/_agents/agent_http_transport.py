@@ -1,30 +1,76 @@
-"""`AgentHttpTransport`: the address, the tokens and the rules of a server of HTTP for agents."""
+"""`AgentHttpTransport`: the address, the tokens and the rules of a server of HTTP for agents.
+
+Requests are let in by the rules of this project's web servers: the `Host` must be this machine or
+an address, the `Origin` none or the same, and the token must be right, before anything is read. So
+no page of a browser and no other user of the machine can move a robot.
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from ssl import SSLContext
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Unpack
 from urllib.parse import SplitResult
 
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.event_loop import Background, asyncio_task
-from fibaction.border.http_access import rules
+from fibaction.border.gateway import Gateway, GatewayTransport
+from fibaction.border.http_access import HttpRules, Refused, bearer_in, rules
 from fibaction.border.settings import TransportSettings
 from fibaction.wire.auth import AccessPolicy, check_token
+from fibaction.wire.frames import FrameMemory
 from fibaction.wire.settings import DEFAULT_LIMITS, Limits
 from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.transport import host_only
+from fibaction.wire.transport import ConfiguredTransport, host_only
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.agent_application import AgentApplication
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.agent_transport import AgentTransport
-from fibaction_transports._http.exchange import App
+from fibaction_transports._http.application import HttpApplication
+from fibaction_transports._http.exchange import App, Exchange
 from fibaction_transports._http.server import SPEAKS_TLS, HttpServer
 from fibaction_transports._socket_lines.host_transport import check_is_safe, listen_at
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import AgentHttpKeywords
+
+
+class AgentTransport(GatewayTransport, ConfiguredTransport):
+    """Actions for agents. It only serves."""
+
+    settings_type: ClassVar[type[TransportSettings]] = AgentPolicy
+    clients: ClassVar[str]
+    """The clients, in the plural, for people."""
+
+    def __init__(self, policy: AgentPolicy) -> None:
+        self.policy = policy
+        """The rules for what an agent may do."""
+
+    def connect(self) -> NoReturn:
+        """Raise an error: the clients are agents.
+
+        Raises:
+            TransportError: Always.
+        """
+        raise TransportError(
+            f"the clients of {self.url} are {self.clients}: connect to the servers of its actions"
+        )
+
+
+class AgentGateway(Gateway):
+    """The serving end for agents: its URL, and the names that they have for the actions."""
+
+    def __init__(self, url: str, names: Callable[[], list[str]]) -> None:
+        self._url = url
+        self._names = names
+
+    @property
+    def url(self) -> str:
+        return self._url
+
+    @property
+    def names(self) -> list[str]:
+        return self._names()
+
 
 HOST = "127.0.0.1"
 """The default host: this machine only."""
@@ -33,6 +79,42 @@ SEND_BUFFER = 2**16
 while what it has not read is kept (`MOST_BYTES`), and little is lost with a connection."""
 MAX_PORT = 65535
 """The largest port: a number of 16 bits."""
+
+
+class AgentApplication(HttpApplication):
+    """An application of others, which gets only the requests that are permitted."""
+
+    page_headers: ClassVar[str] = (
+        f"{HttpApplication.page_headers}, a2a-version, mcp-protocol-version, mcp-session-id"
+    )
+    shown_headers: ClassVar[str] = "mcp-session-id"
+
+    def __init__(
+        self,
+        app: App,
+        rules: HttpRules,
+        access: AccessPolicy,
+        limits: Limits,
+        public: Collection[str] = (),
+    ) -> None:
+        """Guard an application; anyone may read its `public` paths.
+
+        In its scope, `state["client"]` is the client with a valid token, or None.
+        """
+        self._bodies = ByteBudget(limits.total_memory)
+        super().__init__(rules, limits, FrameMemory(self._bodies))
+        self._app = app
+        self._access = access
+        self._public = public
+
+    async def answer(self, exchange: Exchange) -> None:
+        token = bearer_in(exchange.headers)
+        peer = self._access.admit(exchange.peer, token) if token else None
+        is_read = exchange.method in ("GET", "HEAD")
+        if peer is None and not (is_read and exchange.path in self._public):
+            reason = "the header Authorization must be: Bearer, and the token of the bridge"
+            raise Refused(401, reason, ("WWW-Authenticate", "Bearer"))
+        await exchange.hand_to(self._app, {"client": peer}, self.limits.frame, self._bodies)
 
 
 class AgentHttpSettings(AgentPolicy, frozen=True, kw_only=True):

@@ -22,9 +22,9 @@ from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.errors import TransportError
 from fibaction_transports._socket_lines import on_asyncio, tls_lines
-from fibaction_transports._socket_lines.client_tls import ClientTls
 from fibaction_transports._socket_lines.stream_transport import StreamTransport
 from fibaction_transports._socket_lines.tls import SPEAKS_TLS, TlsChannel, TlsListener, telling
+from fibaction_transports._socket_lines.tls_lines import ClientTls
 
 MAX_PORT = 65535
 """The largest port: a number of 16 bits."""

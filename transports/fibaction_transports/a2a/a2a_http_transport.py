@@ -8,8 +8,7 @@ from typing import ClassVar
 
 from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction_transports._agents.agent_goals import AgentGoals
-from fibaction_transports._agents.agent_http_transport import AgentHttpTransport
-from fibaction_transports._agents.agent_transport import AgentGateway
+from fibaction_transports._agents.agent_http_transport import AgentGateway, AgentHttpTransport
 from fibaction_transports._agents.document_app import DocumentApp
 from fibaction_transports.a2a.a2a_app import CARD_PATH, PATH, A2aApp
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills

@@ -30,7 +30,7 @@ from fibaction.schema.template import Template
 from fibaction.types.action import ActionInfo
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.robot_actions import RobotAction, RobotActions
-from fibaction_transports.a2a.a2a_values import struct_of
+from fibaction_transports.a2a.documents import struct_of
 
 EXTENSION = "urn:fibaction:goals:1"
 """The identifier of the extension that the card declares: goals as tasks."""

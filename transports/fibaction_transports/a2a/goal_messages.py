@@ -19,9 +19,8 @@ from fibaction.schema.payload import PayloadError, to_json
 from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.words.goals import NO_GOAL, GoalID
 from fibaction.words.plain_data import is_map
-from fibaction_transports.a2a.a2a_values import has_inexact
 from fibaction_transports.a2a.agent_card import Skill, Skills
-from fibaction_transports.a2a.documents import LARGEST, Document
+from fibaction_transports.a2a.documents import LARGEST, Document, has_inexact
 
 SKILL, GOAL = "skill", "goal"
 """The keys for the ID of the skill, in the metadata of a message, or of its request, or in a

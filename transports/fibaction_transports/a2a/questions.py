@@ -17,7 +17,7 @@ from a2a.utils.errors import InvalidParamsError
 
 from fibaction.words.goals import GoalID
 from fibaction.words.plain_data import is_map
-from fibaction_transports._agents.open_questions import OpenQuestions
+from fibaction_transports._agents.questions import OpenQuestions
 from fibaction_transports.a2a.agent_card import Skill
 from fibaction_transports.a2a.documents import Document
 

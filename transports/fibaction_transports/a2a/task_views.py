@@ -37,8 +37,8 @@ from fibaction.border.abc import FeedbackItem
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_goals import AgentGoal, KeptUpdate, Position
-from fibaction_transports.a2a.a2a_values import data_part, shown_text, struct_of
 from fibaction_transports.a2a.agent_card import Skill
+from fibaction_transports.a2a.documents import data_part, shown_text, struct_of
 
 DEFAULT_PAGE = 50
 LARGEST_PAGE = 100

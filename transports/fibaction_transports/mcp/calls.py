@@ -16,7 +16,7 @@ from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.goal_text import HiddenGoal, question_about
+from fibaction_transports._agents.questions import HiddenGoal, question_about
 from fibaction_transports.mcp.answers import (
     ProgressReports,
     ToolError,

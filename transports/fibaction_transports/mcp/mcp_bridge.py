@@ -12,7 +12,7 @@ from mcp.server import Server
 from fibaction.border.abc import Transport
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports.mcp.mcp_stdio_transport import stdio_streams
+from fibaction_transports.mcp.mcp_transport import stdio_streams
 from fibaction_transports.mcp.tool_server import ToolServer
 
 

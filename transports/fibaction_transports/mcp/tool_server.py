@@ -1,4 +1,12 @@
-"""`ToolServer`: the actions of a group of servers as tools of a server of the SDK."""
+"""`ToolServer`: the actions of a group of servers as tools of a server of the SDK, and goals that
+run as resources, which a client lists, reads and watches.
+
+The resource of a goal is `goal://ID`. Its text is the data that `goal_status` tells. The goals of
+all clients are listed while they run, and can be read for as long as a server knows them.
+
+A client without a handshake may subscribe. It is told of the goals that the bridge follows, which
+are those that it has sent, and those that someone has asked about: at most once in `PERIOD`.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +14,35 @@ from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Any, Self
 
+import anyio
 from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 from mcp.server.models import InitializationOptions
+from mcp.server.subscriptions import ResourcesListChanged, ResourceUpdated
+from mcp.shared.exceptions import MCPError
 from mcp_types import (
     CancelTaskRequestParams,
     GetTaskRequestParams,
+    ListResourcesResult,
+    ListResourceTemplatesResult,
     ListToolsResult,
     PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
+    Resource,
+    ResourceTemplate,
+    TextResourceContents,
 )
+from mcp_types.jsonrpc import INVALID_PARAMS
 
 from fibaction import __version__
+from fibaction.border.abc import Notifier
 from fibaction.border.gateway import ServerGroup
-from fibaction_transports._agents.agent_goals import AgentGoals
+from fibaction.words.goals import GoalID
+from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports.mcp.answers import ToolError, find_goal, goal_answer, json_text
 from fibaction_transports.mcp.calls import ToolCalls
-from fibaction_transports.mcp.goal_resources import GoalChanges, GoalResources
 from fibaction_transports.mcp.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams
 from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tool_list import (
@@ -33,6 +54,106 @@ from fibaction_transports.mcp.tool_list import (
     instructions,
     tool_list,
 )
+
+SCHEME = "goal://"
+MOST_LISTED = 100
+"""Goals that are listed: the newest ones."""
+PERIOD = 1.0
+"""Seconds between two notifications about the same goal, at least."""
+JSON = "application/json"
+
+
+class GoalResources:
+    """The resources of one bridge."""
+
+    def __init__(self, goals: AgentGoals[ToolAction]) -> None:
+        self._goals = goals
+
+    async def running(self, *_: object) -> ListResourcesResult:
+        """List the goals that run."""
+        found = await self._goals.listed()
+        running = [
+            (info.stamp, action, info)
+            for action, infos in found.items()
+            for info in infos
+            if not info.status.is_terminal
+        ]
+        newest = sorted(running, key=lambda one: one[0], reverse=True)[:MOST_LISTED]
+        resources = [
+            Resource(
+                uri=f"{SCHEME}{info.goal_id}",
+                name=f"{action.label} {str(info.goal_id)[:8]}",
+                title=f"A goal of {action.title}",
+                description=f"{info.status.name}; {info.feedback_count} feedback messages so far.",
+                mime_type=JSON,
+            )
+            for _, action, info in newest
+        ]
+        return ListResourcesResult(resources=resources)
+
+    async def templates(self, *_: object) -> ListResourceTemplatesResult:
+        """Tell how the address of a goal is made."""
+        template = ResourceTemplate(
+            uri_template=f"{SCHEME}{{goal_id}}",
+            name="goal",
+            title="A goal",
+            description="The status of a goal, its newest feedback, and its result at the end.",
+            mime_type=JSON,
+        )
+        return ListResourceTemplatesResult(resource_templates=[template])
+
+    async def read(self, _: object, params: ReadResourceRequestParams) -> ReadResourceResult:
+        """Tell about a goal.
+
+        Raises:
+            MCPError: There is no such goal.
+        """
+        uri = params.uri
+        try:
+            if not uri.startswith(SCHEME):
+                raise ValueError(f"the address of a goal is {SCHEME}ID")
+            goal = await find_goal(self._goals, uri.removeprefix(SCHEME))
+        except (ValueError, ToolError) as exc:
+            message = f"there is no such resource: {exc}"
+            raise MCPError(INVALID_PARAMS, message, {"uri": uri}) from exc
+        text = json_text(goal_answer(goal).structured_content)
+        told = TextResourceContents(uri=uri, mime_type=JSON, text=text)
+        return ReadResourceResult(contents=[told])
+
+
+class GoalChanges:
+    """Changes of goals that clients have not been told of yet."""
+
+    def __init__(self, told: ListChanges) -> None:
+        self._told = told
+        self._running: set[GoalID] = set()
+        self._changed: dict[GoalID, None] = {}
+        self._is_other_list = False
+        self._news = Notifier()
+
+    def note(self, goal: AgentGoal[ToolAction]) -> None:
+        """Note that a goal has changed."""
+        goal_id = goal.goal_id
+        is_running, was_running = not goal.ended.is_set(), goal_id in self._running
+        self._changed[goal_id] = None
+        if is_running != was_running:
+            self._is_other_list = True
+            (self._running.add if is_running else self._running.remove)(goal_id)
+        self._news.notify()
+
+    async def tell(self) -> None:
+        """Tell the clients that watch when goals change, until canceled."""
+        while True:
+            while not self._changed:
+                await self._news.wait()
+            changed, is_other_list = self._changed, self._is_other_list
+            self._changed, self._is_other_list = {}, False
+            for goal_id in changed:
+                await self._told.publish(ResourceUpdated(uri=f"{SCHEME}{goal_id}"))
+            if is_other_list:
+                await self._told.publish(ResourcesListChanged())
+            await anyio.sleep(PERIOD)
+
 
 MOST_PIECES = 256
 """Feedback messages of a goal that are kept, for the pieces of a text."""

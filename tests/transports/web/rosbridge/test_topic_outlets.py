@@ -8,8 +8,8 @@ import math
 import pytest
 
 from fibaction_transports.web.rosbridge.operations import Subscribe, SubscriptionQos
-from fibaction_transports.web.rosbridge.server import topic_outlets
-from fibaction_transports.web.rosbridge.server.topic_outlets import (
+from fibaction_transports.web.rosbridge.server import watched_action
+from fibaction_transports.web.rosbridge.server.watched_action import (
     STATUS_PERIOD,
     FeedbackOutlet,
     StatusOutlet,
@@ -35,7 +35,7 @@ def test_a_queue_holds_the_newest_messages_until_their_time() -> None:
 
 
 def test_the_bytes_of_a_queue_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(topic_outlets, "QUEUE_BYTES", 10)
+    monkeypatch.setattr(watched_action, "QUEUE_BYTES", 10)
     outlet = feedback(rate=1000, length=100)
     outlet.offer("first", 0)
     for text in ("a" * 6, "b" * 6, "c" * 4, "d" * 11):

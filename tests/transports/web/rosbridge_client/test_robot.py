@@ -35,7 +35,7 @@ from fibaction.words.goals import ActionPeers
 from fibaction_transports.web import RosbridgeTransport
 from fibaction_transports.web.rosbridge.client import endpoint as endpoint_module
 from fibaction_transports.web.rosbridge.client import link_opener
-from fibaction_transports.web.rosbridge.client.described_types import UNKNOWN, DescribedTypes
+from fibaction_transports.web.rosbridge.client.link_opener import UNKNOWN, DescribedTypes
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.matching import End
 from tests.transports.hearing import Hearing

@@ -6,6 +6,10 @@ first request after it was lost; goals and calls of the lost one have ended with
 rosbridge has no goal IDs. Those of the goals that were sent are remembered here: the stream of such
 a goal can be asked for again as long as the goal or another stream of it is in use, and the same
 goal is never sent twice, since that would run it twice.
+
+rosapi of rosbridge_suite may end when it is asked for a type that it cannot import. So it is asked
+first which types it knows (`DescribedTypes`). It is asked for each type once in a connection, as
+long as there are not too many, and not again after a call without an answer.
 """
 
 from __future__ import annotations
@@ -13,13 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable
 from ssl import SSLContext
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 from weakref import WeakValueDictionary
 
 import anyio
 import msgspec
 from anyio.abc import TaskGroup
 
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import LineSettings
 from fibaction.wire.tls_files import TlsFiles
@@ -31,21 +36,104 @@ from fibaction.words.errors import (
     copy_of,
 )
 from fibaction.words.goals import GoalID
-from fibaction_transports.web.rosbridge.client.described_types import (
-    UNKNOWN,
-    ActionSchemas,
-    DescribedTypes,
-    field_of,
-)
+from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
-from fibaction_transports.web.rosbridge.client.link import CallFailed, ServerLink
+from fibaction_transports.web.rosbridge.client.link import CallFailed, NoAnswer, ServerLink
+from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
+from fibaction_transports.web.rosbridge.types.type_schemas import schema_of
 
+MOST_TYPES = 1000
+"""Types whose schemas are kept. Beyond, the oldest is dropped, since a server may name new types
+without end."""
+
+logger = clean_logger("fibaction.web")
 HANDSHAKE = 5.0
 """Seconds for a server to accept a WebSocket."""
 MOST_SENT = 10_000
 """Goals whose IDs are remembered."""
 
+
+class ActionSchemas(NamedTuple):
+    """The schemas of one action type; empty where they are not known."""
+
+    goal: dict[str, Any]
+    feedback: dict[str, Any]
+    result: dict[str, Any]
+
+
 AnswerT = TypeVar("AnswerT")
+
+UNKNOWN = ActionSchemas({}, {}, {})
+
+
+def field_of(values: object, name: str, kind: type[AnswerT]) -> AnswerT:
+    """Return a field of an answer of rosapi.
+
+    Raises:
+        msgspec.ValidationError: It is not of that kind.
+    """
+    return msgspec.convert(values.get(name) if is_map(values) else None, kind)
+
+
+class DescribedTypes:
+    """The schemas of the action types of one connection."""
+
+    def __init__(
+        self, call: Callable[[str, dict[str, Any]], Awaitable[Any]], most: int = MOST_TYPES
+    ) -> None:
+        """Let `call` call a service."""
+        self._call = call
+        self._most = most
+        self._names: frozenset[str] = frozenset()
+        self._found: dict[str, ActionSchemas] = {"": UNKNOWN}
+        self._has_answered = True
+        self._asking = anyio.Lock()
+
+    async def schemas_of(self, type_name: str) -> ActionSchemas:
+        """Return the schemas of a type; empty ones if rosapi does not describe it.
+
+        Raises:
+            ActionError: The connection has ended.
+        """
+        async with self._asking:
+            if type_name not in self._found:
+                found = await self._asked(type_name)
+                if len(self._found) >= self._most:
+                    del self._found[next(iter(self._found))]
+                self._found[type_name] = found
+            return self._found[type_name]
+
+    async def _asked(self, type_name: str) -> ActionSchemas:
+        if not self._has_answered:
+            return UNKNOWN
+        try:
+            if type_name not in self._names:
+                self._names = await self._interfaces()
+            return await self._details(type_name) if type_name in self._names else UNKNOWN
+        except NoAnswer as exc:
+            logger.info("types of actions are not described: %s", excerpt(str(exc)))
+            self._has_answered = False
+            return UNKNOWN
+
+    async def _interfaces(self) -> frozenset[str]:
+        try:
+            values = await self._call("/rosapi/interfaces", {})
+            return frozenset(field_of(values, "interfaces", list[str]))
+        except (CallFailed, msgspec.ValidationError) as exc:
+            logger.info("types of actions are not described: %s", excerpt(str(exc)))
+            return frozenset()
+
+    async def _details(self, type_name: str) -> ActionSchemas:
+        schemas: list[dict[str, Any]] = []
+        for part in ActionSchemas._fields:
+            try:
+                values = await self._call(f"/rosapi/action_{part}_details", {"type": type_name})
+                schemas.append(schema_of(field_of(values, "typedefs", list[TypeDefinition])))
+            except (CallFailed, msgspec.ValidationError) as exc:
+                text = f"the {part} of {type_name} is not described: {exc}"
+                logger.info("%s", excerpt(text))
+                schemas.append({})
+        return ActionSchemas(*schemas)
 
 
 class RosbridgeSettings(LineSettings, frozen=True, kw_only=True):

@@ -17,8 +17,7 @@ from fibaction_transports._http.exchange import Receive, Send
 from fibaction_transports.web.http.application import SocketGuest
 from fibaction_transports.web.http.asgi_channel import AsgiChannel
 from fibaction_transports.web.http.handshake import ServerHandshake
-from fibaction_transports.web.rosbridge.close_codes import closing
-from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming, WaitingTexts
+from fibaction_transports.web.rosbridge.server.frames import RosbridgeFraming, WaitingTexts, closing
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
 
 logger = clean_logger("fibaction.web")

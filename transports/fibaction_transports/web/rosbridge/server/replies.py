@@ -28,7 +28,7 @@ from fibaction_transports.web.rosbridge.operations import (
     ClientID,
     FragmentSize,
 )
-from fibaction_transports.web.rosbridge.types.goal_arguments import values_text
+from fibaction_transports.web.rosbridge.types.action_values import values_text
 
 _encode = msgspec.json.Encoder().encode
 

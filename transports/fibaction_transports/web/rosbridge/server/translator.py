@@ -86,7 +86,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     short_type,
 )
 from fibaction_transports.web.rosbridge.server.topics import Topics
-from fibaction_transports.web.rosbridge.types.goal_arguments import GoalArguments
+from fibaction_transports.web.rosbridge.types.action_values import GoalArguments
 
 CLIENT_HEARTBEAT = 5.0
 """The heartbeat of a client, in seconds: it is dead after four of them without a pong."""

@@ -9,7 +9,7 @@ import msgspec
 
 from fibaction.schema.json_schema import JsonSchema
 from fibaction.words.plain_data import is_map
-from fibaction_transports.web.rosbridge.types.goal_arguments import DATA, target_of
+from fibaction_transports.web.rosbridge.types.action_values import DATA, target_of
 
 NOT_AN_ARRAY = -1
 ANY_LENGTH = 0

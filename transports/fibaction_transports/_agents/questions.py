@@ -1,19 +1,50 @@
-"""The text of a goal for the user who is asked whether it may be sent."""
+"""The questions to users before goals are sent: their texts, and `OpenQuestions`, which wait."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+import anyio
 
 from fibaction.border.peer_text import with_escapes
 from fibaction.schema.payload import JsonCodec, PayloadError, to_json
 from fibaction_transports._agents.robot_actions import RobotAction
 
+QUESTION_TIMEOUT = 600.0
+"""Seconds that a user has to answer a question."""
+MOST_QUESTIONS = 1000
+"""Questions that wait for their answers at once; the oldest of more is forgotten."""
+
+QuestionT = TypeVar("QuestionT")
 LONGEST_GOAL = 4000
 """Characters of a goal that a user is asked about. The user must see all of what is sent."""
 MOST_LINES = 40
 """Lines of a goal that is shown with one field on a line."""
+
+
+class OpenQuestions(Generic[QuestionT]):
+    """Questions by their keys, in the order in which they were asked."""
+
+    def __init__(self) -> None:
+        self._questions: dict[str, tuple[QuestionT, float]] = {}
+
+    def add(self, key: str, question: QuestionT) -> None:
+        """Begin to wait for an answer; a question that is asked again is the newest."""
+        self._questions.pop(key, None)
+        while len(self._questions) >= MOST_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        self._questions[key] = question, anyio.current_time() + QUESTION_TIMEOUT
+
+    def find(self, key: str) -> QuestionT | None:
+        """Return a question; None if there is none, or it was asked too long ago."""
+        question, expires = self._questions.get(key, (None, 0.0))
+        return question if expires > anyio.current_time() else None
+
+    def close(self, key: str) -> None:
+        """Wait for the answer no longer."""
+        self._questions.pop(key, None)
 
 
 class HiddenGoal(Exception):
