@@ -74,13 +74,13 @@ class RobotProcess:
 class BridgeProcess(RobotProcess):
     """A process that serves the actions of a robot at another address."""
 
-    def __init__(self, robot: RobotProcess) -> None:
+    def __init__(self, robot: RobotProcess, name: str = "") -> None:
         super().__init__()
-        self._robot = robot
+        self._from = f"{name}={robot.url}" if name else robot.url
 
     def program(self) -> list[str]:
         """Return the module to run, and its arguments."""
-        return ["fibaction", "bridge", self._robot.url, self.url]
+        return ["fibaction", "bridge", self._from, self.url]
 
 
 class ArchiveProcess(RobotProcess):

@@ -75,7 +75,7 @@ export class ChosenGoals {
     const { active } = this;
     const text = `This asks the server to cancel ${counted(active.length, "goal")}.`;
     if (await confirmed("Cancel the chosen goals?", text, "Cancel them", "Keep them")) {
-      await this.each(active, "canceled", (record) => this.store.connection.cancel(record.action, { id: record.id }));
+      await this.each(active, "canceled", (record) => this.store.cancel(record));
     }
   }
 

@@ -13,6 +13,7 @@ import { ENDED, GoalRecord } from "./goal_record.js";
 const TYPING = 200; // milliseconds in which a person types on
 const LEAST_PAUSE = 2000;
 const SHARE = 10; // of the time, the search takes one part in so many
+const PATIENCE = 60_000; // milliseconds for an answer
 const MOST_AT_ONCE = 1000;
 const MOST_FOUND = 10_000;
 const REQUESTS_AT_ONCE = 4;
@@ -31,7 +32,8 @@ export class FoundGoals {
 
   /** Ask for a page if it is another one than before, or if it may have changed. */
   want(query, changes) {
-    if (this.store.isRecording || this.store.state !== "ready") {
+    this.wanted = query;
+    if (this.store.isRecording || !this.isReachable) {
       return;
     }
     const isOther = query !== this.query;
@@ -41,6 +43,10 @@ export class FoundGoals {
       const pause = isOther && this.query !== null ? TYPING : 0;
       Object.assign(this, { query, changes, timer: setTimeout(() => this.ask(query), pause) });
     }
+  }
+
+  get isReachable() {
+    return this.store.state === "ready" && !this.store.ownAway;
   }
 
   /** Return whether another choice of goals is being searched than the one that is shown. */
@@ -71,7 +77,8 @@ export class FoundGoals {
 
   async fetched(query) {
     const { token } = this.store;
-    const answer = await fetch(`goals?${query}`, { headers: token ? { Authorization: `Bearer ${token}` } : {} });
+    const headers = token ? { Authorization: `Bearer ${token}` } : {};
+    const answer = await fetch(`goals?${query}`, { headers, signal: AbortSignal.timeout(PATIENCE) });
     const told = await answer.json();
     if (!answer.ok) {
       throw new Error(told.detail ?? `the server answers with the status ${answer.status}`);
@@ -108,7 +115,7 @@ export class FoundGoals {
   page(known, { sort, from, rows }, fits) {
     const compare = comparing(sort);
     const { answer, store } = this;
-    if (!answer) {
+    if (!answer || (answer.query !== this.wanted && !this.isReachable)) {
       const goals = known.filter(fits).sort(compare);
       return { goals: goals.slice(from, from + rows), total: goals.length };
     }
@@ -127,7 +134,7 @@ export class FoundGoals {
   /** Read what was sent of some goals, a few at a time; a list of the history does not tell it. */
   readRequests(goals) {
     for (const goal of goals) {
-      if (this.asking.size >= REQUESTS_AT_ONCE || this.store.isRecording || this.store.state !== "ready") {
+      if (this.asking.size >= REQUESTS_AT_ONCE || this.store.isRecording || !this.isReachable) {
         return;
       }
       if (goal.goal === undefined && !goal.handle && !goal.isAsking && goal.info && !goal.wasAsked && !this.asking.has(goal.key)) {

@@ -54,6 +54,7 @@ export class Levers {
     const path = `actions/${this.info.name.split("/").map(encodeURIComponent).join("/")}/intake`;
     const body = JSON.stringify({ mode: mode(), reason: reason.value });
     try {
+      await this.store.checkIsThere(this.info.name, "nothing was changed");
       const answer = await this.store.ask(path, undefined, { method: "PUT", body, headers: { "Content-Type": "application/json" } });
       if (!answer.ok) {
         throw new Error((await answer.json()).detail ?? answer.statusText);

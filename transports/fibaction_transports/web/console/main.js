@@ -115,7 +115,7 @@ class Console {
   /** Show the recording that the server of the page has, if the address names it. */
   async openServed(name) {
     try {
-      const answer = await this.store.ask("recording");
+      const answer = await this.store.ask("recording", null); // which may be large
       if (!answer.ok) {
         throw new Error(`the server answers with the status ${answer.status}`);
       }
@@ -226,10 +226,11 @@ class Console {
   update() {
     this.route();
     const words = { ready: "connected", lost: "connection lost, trying again" };
-    const { state, away } = this.store;
-    const more = state === "ready" && away.size ? `, ${away.size === 1 ? "a server is" : "servers are"} away` : "";
-    setText(this.status, (words[state] ?? state) + more);
-    const shown = more ? "lost" : state;
+    const { state, away, silent } = this.store;
+    const more = silent ? ", but the server does not answer" : away.size ? `, ${away.size === 1 ? "a server is" : "servers are"} away` : "";
+    const isLess = state === "ready" && more;
+    setText(this.status, (words[state] ?? state) + (isLess ? more : ""));
+    const shown = isLess ? "lost" : state;
     if (this.status.dataset.state !== shown) {
       this.status.dataset.state = shown;
     }

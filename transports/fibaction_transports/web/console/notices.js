@@ -24,7 +24,7 @@ export class Notices {
         this.tell(`${goal.action}: goal ${shortId(goal.id)} was aborted`, goal.reason);
       }
     }
-    const names = [...store.servers.filter(({ away }) => away).map(({ name, url }) => name || url), ...store.away.keys(), ...(store.lost ? ["this page"] : [])];
+    const names = [...store.servers.filter(({ away }) => away).map(({ name, url }) => name || url), ...store.away.keys(), ...(store.ownAway ? ["this page"] : [])];
     const [first] = names.filter((name) => !this.gone.has(name) && !names.some((one) => one !== name && name.startsWith(`${one}/`)));
     if (first && store.isDescribed && this.wasThere) {
       this.tell(`The server of ${first} is away`, "");

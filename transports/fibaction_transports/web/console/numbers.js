@@ -1,7 +1,7 @@
 /** The numbers of actions: rates, ends, reasons of failures, and times of waiting and running. */
 
-import { h, show } from "./dom.js";
-import { counted, durationOf } from "./goal_text.js";
+import { h, setText, show } from "./dom.js";
+import { counted, durationOf, timeOf } from "./goal_text.js";
 import { isWithin } from "./scope.js";
 
 const ASK_AGAIN = 10_000;
@@ -35,7 +35,12 @@ export class Numbers {
   /** Ask for the numbers of one action after the other. */
   async ask() {
     const since = this.since.value;
-    const names = [...this.store.actions.keys()].sort().filter((name) => isWithin(name, this.scope) && !this.store.awayOf(name));
+    const all = [...this.store.actions.keys()].sort().filter((name) => isWithin(name, this.scope));
+    const names = all.filter((name) => !this.store.awayOf(name));
+    if (this.told.firstChild && all.length && !names.length) {
+      setText(this.note, `These are the numbers of ${timeOf(this.askedAt)}: the server is away.`);
+      return;
+    }
     this.isAsking = true;
     const found = [];
     for (const name of names) {
@@ -48,13 +53,13 @@ export class Numbers {
     this.isAsking = false;
     this.askedAt = Date.now();
     if (since === this.since.value) {
-      this.tell(found, since);
+      this.tell(found, since, all.filter((name) => !found.some(([one]) => one === name)));
     } else {
       this.askAgain();
     }
   }
 
-  tell(found, since) {
+  tell(found, since, missing) {
     const rows = found.flatMap(([name, { recent, whole }]) => [rowOf(name, "ten minutes", recent), rowOf(name, SPANS[since], whole)]);
     const heads = ["Action", "In", ...HEADINGS].map((text) => h("th", { scope: "col" }, text));
     const table = h("table", { class: "servers" }, h("caption", { class: "hidden-text" }, "Numbers"), h("thead", {}, h("tr", {}, ...heads)), h("tbody", {}, ...rows));
@@ -62,17 +67,21 @@ export class Numbers {
     const list = failures.length ? [h("h3", {}, `Why goals were aborted in ${SPANS[since]}`), h("ul", { class: "failures" }, ...failures)] : [];
     this.told.replaceChildren(table, ...list);
     const forgetful = found.filter(([, { past }]) => !past).map(([name]) => name);
-    this.note.textContent = forgetful.length ? `Without a history, only goals that the server remembers are counted: ${forgetful.join(", ")}.` : "";
+    const notes = [
+      forgetful.length ? `Without a history, only goals that the server remembers are counted: ${forgetful.join(", ")}.` : "",
+      missing.length ? `Not counted, since their servers cannot be asked: ${missing.join(", ")}.` : "",
+    ];
+    setText(this.note, notes.filter(Boolean).join(" "));
   }
 }
 
 function rowOf(name, span, { accepted, per_minute: rate, ended, waited, ran }) {
   const { SUCCEEDED, CANCELED, ABORTED } = ended;
-  const times = [waited, ran].flatMap((one) => (one ? [timeOf(one.p50), timeOf(one.p95)] : ["–", "–"]));
+  const times = [waited, ran].flatMap((one) => (one ? [lasting(one.p50), lasting(one.p95)] : ["–", "–"]));
   const cells = [span, accepted, Number(rate.toPrecision(3)), SUCCEEDED, CANCELED, ABORTED, ...times];
   return h("tr", {}, h("th", { scope: "row" }, name), ...cells.map((text) => h("td", {}, String(text))));
 }
 
-function timeOf(seconds) {
+function lasting(seconds) {
   return seconds < 1 ? `${Number((seconds * 1000).toPrecision(3))} ms` : durationOf(seconds);
 }

@@ -54,16 +54,18 @@ export class ServersPage {
   serverRow({ name, url, actions, away }) {
     const row = this.row(name, name || url, name ? linkTo(name) + "/" : "#/", 3);
     const active = [...this.store.goals.values()].filter((goal) => goal.isActive && actions.includes(goal.action));
-    const since = away ? `away since ${timeOf(away.since * 1000)}` : "connected";
-    row.update(since, away ? "away" : "succeeded", url, counted(active.length, "active goal"), counted(actions.length, "action"));
-    row.element.title = away?.reason ?? "";
+    const own = this.store.ownAway; // then nothing tells what has become of the servers
+    const state = own ? `not known since ${timeOf(own.since)}` : away ? `away since ${timeOf(away.since * 1000)}` : "connected";
+    row.update(state, own || away ? "away" : "succeeded", url, counted(active.length, "active goal"), counted(actions.length, "action"));
+    row.element.title = (own ?? away)?.reason ?? "";
     return row.element;
   }
 
   workerRow(server, { name, actions, since, goals, has_room: hasRoom, version }) {
     const row = this.row(`${server.name}/${name}`, name, "", 5);
     const joined = `${durationOf((Date.now() - since / 1e6) / 1000)} ago`;
-    row.update(hasRoom ? "has room" : "full", hasRoom ? "succeeded" : "accepted", server.name || server.url, counted(goals, "goal"), joined, version, [...actions].sort().join(", "));
+    const [state, className] = this.store.ownAway || server.away ? ["not known", "away"] : hasRoom ? ["has room", "succeeded"] : ["full", "accepted"];
+    row.update(state, className, server.name || server.url, counted(goals, "goal"), joined, version, [...actions].sort().join(", "));
     return row.element;
   }
 

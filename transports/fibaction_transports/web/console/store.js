@@ -7,7 +7,9 @@
  * of the action that is shown. Changes are collected, and listeners are told once for each frame.
  *
  * A server that is away, behind a bridge or because the connection is lost, is told by REST and by
- * the state of the connection. What is known of its active goals is from the time before.
+ * the state of the connection. What is known of its active goals is from the time before. A server
+ * of the page that is frozen keeps its connection for some heartbeats: it is noticed earlier, as it
+ * does not answer REST either.
  */
 
 import { ACTIVE, GoalRecord, millisecondsOf } from "./goal_record.js";
@@ -19,6 +21,8 @@ const MOST_FOLLOWED = 20;
 const MOST_ON_MAP = 100;
 const MOST_GOALS = 2000;
 const ASK_AGAIN = 2000;
+const SILENCE = 5000; // after which a server does not answer, though it does at any load
+const PATIENCE = 60_000; // for an answer that takes work
 const ASK_PLACES = 27; // a message of the protocol that only this page sends
 const MOST_PLACES = 1000;
 const WATCH_STATUS = 20; // which also asks for goals of the history
@@ -53,6 +57,7 @@ export class Store {
     this.basis = ""; // the key of the goal that others are compared with
     this.state = "connecting";
     this.lost = undefined; // the connection, since then
+    this.silent = undefined; // the server of the page, since then
     this.away = new Map(); // servers of actions behind a bridge, since then
     this.intakes = new Map(); // of actions that are paused, or whose server drains
     this.servers = []; // if the page is of several
@@ -67,6 +72,7 @@ export class Store {
       this.goals.set(record.key, record);
     }
     this.askActions("");
+    this.keepAskingAway();
   }
 
   /** Ask for the actions, now and ever again, and take them if they are others than before. */
@@ -79,8 +85,15 @@ export class Store {
     if (now !== before) {
       this.takeActions(infos);
     }
-    await this.askAway();
     setTimeout(() => this.askActions(now), ASK_AGAIN);
+  }
+
+  /** Ask now and ever again which servers are away. */
+  async keepAskingAway() {
+    await this.askAway();
+    if (this.state !== "closed") {
+      setTimeout(() => this.keepAskingAway(), ASK_AGAIN);
+    }
   }
 
   /** Take the new state of the connection. */
@@ -90,10 +103,19 @@ export class Store {
     this.markAway();
   }
 
-  /** Ask which servers are away. */
-  async askAway() {
-    const infos = await this.fetched("actions");
-    if (infos) { // else the connection is lost, too
+  /** Ask which servers are away, that of the page included; once for all that want to know it now. */
+  askAway() {
+    this.askingAway ??= this.readAway().finally(() => {
+      this.askingAway = undefined;
+    });
+    return this.askingAway;
+  }
+
+  async readAway() {
+    const answer = await this.ask("actions", AbortSignal.timeout(SILENCE)).catch(() => null);
+    const infos = answer?.ok ? await answer.json().catch(() => null) : null;
+    this.silent = answer ? undefined : (this.silent ?? { since: Date.now(), reason: "it does not answer" });
+    if (infos) {
       const away = infos.filter((info) => info.away);
       this.away = new Map(away.map(({ name, away: { since, reason } }) => [name, { since: since * 1000, reason }]));
       this.intakes = new Map(infos.filter((info) => info.intake).map(({ name, intake }) => [name, intake]));
@@ -109,13 +131,18 @@ export class Store {
   }
 
   /** Send a request about a path, which reads it without `options`. */
-  ask(path, signal = undefined, options = {}) {
+  async ask(path, signal = AbortSignal.timeout(PATIENCE), options = {}) {
     const headers = this.token ? { Authorization: `Bearer ${this.token}` } : {};
-    return fetch(path, { signal, ...options, headers: { ...headers, ...options.headers } });
+    try {
+      return await fetch(path, { signal, ...options, headers: { ...headers, ...options.headers } });
+    } catch (error) {
+      throw error.name === "TimeoutError" ? new Error("the server does not answer; it may still do what was asked") : error;
+    }
   }
 
   /** Have the server run a goal again that was given up, and return the ID of the new one. */
   async rerun({ action, id }) {
+    await this.checkIsThere(action, "nothing was sent");
     const path = `actions/${action.split("/").map(encodeURIComponent).join("/")}/goals/${id}/rerun`;
     const answer = await this.ask(path, undefined, { method: "POST" });
     const told = await answer.json();
@@ -125,9 +152,14 @@ export class Store {
     return told.goal_id;
   }
 
+  /** Since when the server of the page is away, and why; undefined if it is not. */
+  get ownAway() {
+    return this.lost ?? this.silent;
+  }
+
   /** Return since when the server of an action is away, and why; undefined if it is not. */
   awayOf(action) {
-    return this.lost ?? this.away.get(action);
+    return this.ownAway ?? this.away.get(action);
   }
 
   /** Note of active goals since when nothing is known of them. */
@@ -140,7 +172,9 @@ export class Store {
 
   /** Check that the server of an action is there, so that an answer need not be waited for. */
   async checkIsThere(action, what) {
-    await this.askAway();
+    if (!this.ownAway) { // else it is asked again and again anyway
+      await this.askAway();
+    }
     const away = this.awayOf(action);
     if (away) {
       throw new Error(`The server of ${action} is away since ${timeOf(away.since)}: ${what}`);

@@ -46,6 +46,9 @@ class TopicView {
       if (!this.element.isConnected) {
         clearInterval(look);
         this.reading.abort();
+      } else if (store.ownAway) {
+        setText(this.note, "The server does not answer: this is the last message.");
+        show(this.note, true);
       }
     }, LOOK);
     this.read();
