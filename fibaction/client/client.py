@@ -251,7 +251,7 @@ class ActionClient(Generic[GoalT, FeedbackT, ResultT]):
             if on_feedback is not None:
                 async for feedback in sent.feedback:
                     answer = on_feedback(feedback)
-                    if isinstance(answer, Awaitable):
+                    if answer is not None and isinstance(answer, Awaitable):
                         await answer
                 sent.feedback.warn_of_loss()
             return await sent.result()

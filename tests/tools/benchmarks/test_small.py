@@ -116,14 +116,15 @@ async def test_the_whole_of_make_bench_makes_a_report_a_picture_and_a_table_of_e
     assert pages.with_tables(page, reports) != page
 
 
+@pytest.mark.parametrize("uvloop", [False, True])
 def test_this_version_beside_itself_has_a_ratio_for_each_order(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], uvloop: bool
 ) -> None:
     made_small(
         monkeypatch, versions, {"WORK": {"goals": 2, "batches": 1, "feedback": 10}, "WARM_UP": 0}
     )
 
-    anyio.run(versions.run, ROOT, 2, 1, versions.ORDERS)
+    anyio.run(versions.run, ROOT, 2, 1, versions.ORDERS, uvloop)
 
     printed = capsys.readouterr().out
     assert all(order in printed for order in versions.ORDERS)

@@ -2,7 +2,7 @@
 
 It is run as a file, so that `fibaction` is that of `PYTHONPATH`, and uses nothing that an earlier
 version does not have. It is told what to do in lines of JSON, and answers with the seconds of the
-processor's time that it took.
+processor's time that it took. With `--uvloop` it runs on uvloop.
 """
 
 from __future__ import annotations
@@ -74,4 +74,4 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    anyio.run(main)
+    anyio.run(main, backend_options={"use_uvloop": "--uvloop" in sys.argv})

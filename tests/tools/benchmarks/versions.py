@@ -2,6 +2,7 @@
 
     git worktree add ../before COMMIT
     python -m tests.tools.benchmarks.versions ../before [--rounds N] [--starts N] [--only ORDER]
+        [--uvloop]
 
 Each version runs in a process of its own, server and client together. They work in turns, in short
 rounds, and it is the processor's time that counts, so that other programs disturb little. A process
@@ -35,6 +36,7 @@ class Version(NamedTuple):
 
     root: Path = ROOT
     python: Path = Path(sys.executable)
+    uvloop: bool = False
 
 
 async def compare(
@@ -50,10 +52,11 @@ async def compare(
     }
     async with AsyncExitStack() as stack:
         running: dict[str, Program] = {}
-        for name, (root, python) in versions.items():
+        for name, (root, python, uvloop) in versions.items():
             paths = os.pathsep.join(map(str, (root, root / "transports")))
+            loop = ["--uvloop"] if uvloop else []
             running[name] = await stack.enter_async_context(
-                program(python, "-P", child, environment={"PYTHONPATH": paths})
+                program(python, "-P", child, *loop, environment={"PYTHONPATH": paths})
             )
             found = Path(await running[name].line())
             assert found.is_relative_to(root), f"it imports {found}"
@@ -68,20 +71,23 @@ async def compare(
 
 
 async def beside(
-    other: Path, rounds: int, starts: int, orders: Sequence[str]
+    other: Path, rounds: int, starts: int, orders: Sequence[str], *, uvloop: bool = False
 ) -> dict[str, list[list[float]]]:
     """Return for each order the ratios of this version's rate to another's, of each start."""
+    pair = {"other": Version(other, uvloop=uvloop), "this": Version(uvloop=uvloop)}
     ratios: dict[str, list[list[float]]] = {order: [] for order in orders}
     for _ in range(starts):
-        found = await compare({"other": Version(other), "this": Version()}, rounds, orders)
+        found = await compare(pair, rounds, orders)
         for order, of_versions in found.items():
             ratios[order].append(of_versions["this"])
     return ratios
 
 
-async def run(other: Path, rounds: int, starts: int, orders: list[str]) -> None:
+async def run(
+    other: Path, rounds: int, starts: int, orders: list[str], uvloop: bool = False
+) -> None:
     """Print the ratios of all starts together, and the median of each start."""
-    ratios = await beside(other, rounds, starts, orders)
+    ratios = await beside(other, rounds, starts, orders, uvloop=uvloop)
     print("Rate of this version to the other's (more than 1: faster)")
     for order, of_starts in ratios.items():
         low, middle, high = quantiles([one for found in of_starts for one in found], n=4)
@@ -95,9 +101,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--starts", type=int, default=4)
     parser.add_argument("--only", choices=ORDERS, help="an order, in place of all")
+    parser.add_argument("--uvloop", action="store_true", help="run both on uvloop")
     arguments = parser.parse_args()
     orders = [arguments.only] if arguments.only else ORDERS
-    anyio.run(run, arguments.other.resolve(), arguments.rounds, arguments.starts, orders)
+    other = arguments.other.resolve()
+    anyio.run(run, other, arguments.rounds, arguments.starts, orders, arguments.uvloop)
 
 
 if __name__ == "__main__":
