@@ -360,10 +360,6 @@ class GoalJournal(PastSource, IntakeSource, ABC):
 class GoalStore(ABC):
     """A place where the goals of servers outlive their process."""
 
-    tells_statuses: bool = False
-    """True if clients follow the statuses of goals in the store, and not at the server, which then
-    cannot know whether they are followed."""
-
     @abstractmethod
     def open(
         self,

@@ -112,8 +112,8 @@ class GoalStream(Closing):
 
     @property
     def goal(self) -> bytes | None:
-        """The payload of the goal itself; None if it is not known. Servers forget it at the end of
-        the goal, and ROS 2 does not tell it to observers.
+        """The payload of the goal itself; None if it is not known. Servers keep it as long as the
+        feedback of the goal, and ROS 2 does not tell it to observers.
         """
         return None
 

@@ -4,13 +4,12 @@ Theory of operation
 -------------------
 
 A goal is followed from its `FeedbackLog`. The record of an active goal has it (`GoalRecord.log`).
-After the end of the goal, its log is kept as long as its result if it has any feedback (`_kept`),
-for a client that was away, or comes later. If the server holds too many bytes, such logs give way
-before any result or anything of an active goal does, the oldest first. A log is also kept by its
-followers (`HeldBytes` has a weak reference), and, if the statuses are followed, for RECENT_TIME
-(`_recent`): such a follower learns of a goal by its status, and then asks for its payload, which is
-in the log, too. Without a log, an ended goal is followed by a new one; so it has one log at a time,
-which loses the result if results take too many bytes.
+After the end of the goal, its log, with its feedback and the payload of the goal, is kept as long
+as its result (`_kept`), for a client that was away, or comes later. If the server holds too many
+bytes, such logs give way before any result or anything of an active goal does, the oldest first. A
+log is also kept by its followers (`HeldBytes` has a weak reference). Without a log, an ended goal
+is followed by a new one; so it has one log at a time, which loses the result if results take too
+many bytes.
 
 This carries out the effects `TELL_...`, by which clients learn of each step of a goal's life. With
 the end, the record gets its outcome, and the registry remembers it.
@@ -23,7 +22,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 from weakref import ref
@@ -49,11 +48,6 @@ if TYPE_CHECKING:
 EXPIRY_STEP = 0.1
 """The least seconds between two clean-ups of expired goals. It only limits how often memory is
 freed, since the registry compares times exactly."""
-
-RECENT_TIME, RECENT_GOALS = 1.0, 1000
-"""Seconds that the payload of a goal is kept after its end, and the number of such goals at most,
-while the statuses are followed: a follower that learns of a goal asks for its payload, and the goal
-may have ended by then."""
 
 FORGOTTEN_AT_ONCE = 200
 """Goals that are forgotten in one turn of the event loop, which takes less than a millisecond."""
@@ -82,11 +76,9 @@ class GoalLogs:
         """The clock of the event loop."""
         self._window = window
         self._latest = latest
-        self._are_told_elsewhere = keeper.tells_statuses
         self.kept: GoalKept | None = None
         """The error for goals that are not known here, once the server has let goals go that it
         keeps: a client that asks for one of them is to ask again after the next start."""
-        self._recent: deque[tuple[float, FeedbackLog[GoalRecord]]] = deque(maxlen=RECENT_GOALS)
         self._kept: OrderedDict[GoalID, FeedbackLog[GoalRecord]] = OrderedDict()
         self._statuses = StatusBroadcast()
         self.ended = Notifier()
@@ -149,12 +141,7 @@ class GoalLogs:
         now = self.now()
         self._registry.finish(goal, run.outcome, now=now)
         goal.log = None
-        if self._statuses.is_followed or self._are_told_elsewhere:
-            self._recent.append((now + RECENT_TIME, log))
-        else:
-            log.payload = None
-        if goal.feedback_count:
-            self._kept[goal.goal_id] = log
+        self._kept[goal.goal_id] = log
         assert goal.held is not None
         goal.held.log = ref(log)
         self._tell(run, goal.status)
@@ -241,7 +228,7 @@ class GoalLogs:
         held = goal.held
         assert held is not None
         log = None if held.log is None else held.log()
-        if log is None:  # its feedback is not kept any longer
+        if log is None:  # it has given way, or the goal ended before a restart
             log = FeedbackLog(goal)
             held.log = ref(log)
         return log
@@ -256,29 +243,20 @@ class GoalLogs:
     async def forget_expired(self) -> None:
         """Forget goals and feedback when they expire, until canceled."""
         while True:
-            while (next_expiry := self._next_expiry()) == math.inf:
+            while (next_expiry := self._registry.next_expiry) == math.inf:
                 await self.ended.wait()
-            now = self.now()
-            # The feedback of a goal that ends from now on may expire before older results do.
-            sooner = min(next_expiry, now + RECENT_TIME)
-            await anyio.sleep_until(max(sooner, now + EXPIRY_STEP))
+            await anyio.sleep_until(max(next_expiry, self.now() + EXPIRY_STEP))
             await self._expire_all()
 
     async def _expire_all(self) -> None:
         while self.expire(self.now()):
             await cancel_shielded_checkpoint()
 
-    def _next_expiry(self) -> float:
-        recent = self._recent[0][0] if self._recent else math.inf
-        return min(recent, self._registry.next_expiry)
-
     def expire(self, now: float) -> bool:
         """Forget goals and feedback that have expired, and tell followers of the statuses.
 
         Return whether there may be more of them.
         """
-        while self._recent and self._recent[0][0] <= now:
-            self._recent.popleft()
         budget = self._registry.budget
         if budget.used > budget.limit:  # without a call for each goal
             self._make_room()
@@ -293,7 +271,5 @@ class GoalLogs:
         limit.
         """
         budget = self._registry.budget
-        while budget.is_over and self._recent:
-            self._recent.popleft()
         while budget.is_over and self._kept:
             self._kept.popitem(last=False)

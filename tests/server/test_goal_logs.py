@@ -25,7 +25,7 @@ from fibaction import (
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusStream
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs
-from fibaction.server.goal_logs import EXPIRY_STEP, RECENT_TIME
+from fibaction.server.goal_logs import EXPIRY_STEP
 from tests.server.held import Gate, Held, packed, result, start_many, waited_for
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -80,13 +80,10 @@ async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
 
 
 @in_virtual_time()
-@pytest.mark.parametrize("result_timeout", [3600, math.inf])
-async def test_a_goal_can_be_read_for_a_moment_after_its_end_while_the_goals_are_watched(
-    result_timeout: float,
-) -> None:
-    async def is_there(goal_id: GoalID) -> bool:
+async def test_what_was_sent_can_be_read_as_long_as_the_result_and_gives_way_before_it() -> None:
+    async def sent(goal_id: GoalID) -> bytes | None:
         with await server.feedback(goal_id) as stream:
-            return stream.goal is not None
+            return stream.goal
 
     async def one_that_ends() -> GoalID:
         goal_id = GoalID.random()
@@ -94,19 +91,22 @@ async def test_a_goal_can_be_read_for_a_moment_after_its_end_while_the_goals_are
             await stream.outcome()
         return goal_id
 
-    async with ActionServer(FIBONACCI, fibonacci, result_timeout=result_timeout) as server:
-        unwatched = await one_that_ends()
-        with await server.status():
-            watched = await one_that_ends()
-            await anyio.sleep(RECENT_TIME / 2)
-            later = await one_that_ends()
-            assert [await is_there(one) for one in (unwatched, watched, later)] == [
-                False,
-                True,
-                True,
-            ]
-            await anyio.sleep(RECENT_TIME / 2 + EXPIRY_STEP)
-            assert [await is_there(one) for one in (watched, later)] == [False, True]
+    async with ActionServer(FIBONACCI, fibonacci, result_timeout=3600) as server:
+        first = await one_that_ends()
+        await anyio.sleep(3599)
+        assert await sent(first) == packed(0)
+        size = len((await server.get_result(first)).result or b"")
+        await anyio.sleep(1 + EXPIRY_STEP)
+        with pytest.raises(UnknownGoal):
+            await sent(first)
+    most = 4 * size + 3 * len(packed(0))
+    async with ActionServer(FIBONACCI, fibonacci, max_bytes=most) as server:
+        goals = [await one_that_ends() for _ in range(3)]
+        assert [await sent(one) for one in goals] == [packed(0)] * 3
+        goals.append(await one_that_ends())
+        assert [await sent(one) for one in goals] == [None, *[packed(0)] * 3]
+        ends = [(await server.get_result(one)).status for one in goals]
+        assert ends == [GoalStatus.SUCCEEDED] * 4
 
 
 @pytest.mark.promise("FEEDBACK-11")

@@ -86,6 +86,8 @@ async def test_a_goal_that_is_remembered_is_told_with_what_was_sent(tmp_path: Pa
             stream = await server.feedback(goal_id, after=1)
             assert stream.goal == PAINT.goal.encode(3)
             assert len(stream.take(5)) == 2
+        async with ActionServer(PAINT, paint, store=store, result_timeout=60) as server:
+            assert (await server.feedback(goal_id, after=1)).goal == PAINT.goal.encode(3)
             assert (await server.feedback(goal_id)).goal is None  # who wants the result only
 
 

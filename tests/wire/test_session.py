@@ -796,6 +796,18 @@ async def test_a_goal_over_the_clients_limit_is_left_out() -> None:
         assert (await large_enough.ask(follow(None, own=False), Following)).goal == padded
 
 
+@pytest.mark.parametrize(("after", "told"), [(0, GOAL), (None, None)])
+async def test_who_reads_an_ended_goal_of_another_one_is_told_what_was_sent(
+    after: int | None, told: bytes | None
+) -> None:
+    async with serving(running(fib.Result([0]))) as served:
+        sender, reader = await served.greet(), await served.greet(BOB)
+        await sender.send(1)
+        await sender.hear(Ended)
+        following = await reader.ask(follow(after, own=False), Following)
+        assert (following.status, following.goal) == (SUCCEEDED, told)
+
+
 async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() -> None:
     labeled = SendGoal(1, "fibonacci", A, GOAL, ANY, None, {"order": "17", "traceparent": "00-1"})
     async with serving(held()) as served:

@@ -127,7 +127,6 @@ class GoalKeeper(Keeper):
         """The error of the first write that has failed."""
         self._events: KeeperEvents
         self._scope: CancelScope
-        self.tells_statuses = store.tells_statuses
         self.life.carry_out(
             {
                 Effect.WRITE_ACCEPTANCE: self._write_acceptance,

@@ -70,8 +70,6 @@ class Keeper:
     """True if the goals belong to this server only until a time: see `is_valid`."""
     is_valid: bool = True
     """True if the goals belong to this server for certain."""
-    tells_statuses: bool = False
-    """True if the statuses may be followed without this server's knowledge."""
     block: AbstractContextManager[object] = nullcontext()
     """A block that is canceled when the store fails, once the keeper is open."""
     past: PastSource = PastSource()

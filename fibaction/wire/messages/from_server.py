@@ -59,7 +59,7 @@ class Following(WireMessage, tag=33):
     """Attempt at the goal, from 1, in which the feedback is numbered from now on."""
     goal: bytes | None = None
     """The goal's payload, for a client that did not send it: in the first answer to `Follow`, if
-    the goal is active and fits into a frame that the client accepts."""
+    the goal is active or `after` was given, and it fits into a frame that the client accepts."""
     parent: ParentFields | None = None
     """The goal whose executor has sent this one, and the name of the step, as in `GoalChanged`: in
     the first answer to `Follow`, for a client that did not send it."""

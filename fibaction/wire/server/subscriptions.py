@@ -144,6 +144,7 @@ class GoalSubscription(WireSubscription):
         "_opening",
         "_piece",
         "_place",
+        "_reads_from_place",
         "_ready",
         "_takes_batches",
         "action",
@@ -179,6 +180,7 @@ class GoalSubscription(WireSubscription):
         self.is_wanted = True
         """True if the client has not said yet that it has the end, or does not wait for it."""
         self._is_follow = isinstance(message, Follow)
+        self._reads_from_place = isinstance(message, Follow) and message.after is not None
         self._ready = ready
         self._max_frame = max_frame
         self._takes_batches = takes_batches
@@ -195,7 +197,9 @@ class GoalSubscription(WireSubscription):
         # sent: the frames of many followers would each hold a copy of the goal.
         self._opening = self._following(stream, stream.cursor)
         if self._is_follow and not own:
-            info, self._opening.goal = stream.info, stream.goal
+            info = stream.info
+            if self._reads_from_place or stream.status.is_active:  # else it wants the result only
+                self._opening.goal = stream.goal
             self._opening.parent = parent_fields(info.parent)
             self._opening.labels = told_labels(info.labels)
         if self.closed:

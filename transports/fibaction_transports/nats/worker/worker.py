@@ -131,8 +131,6 @@ class Offers(MemberPart):
 class FleetStore(GoalStore):
     """The store of one worker: the goals of all its servers, kept by the brokers."""
 
-    tells_statuses = True
-
     def __init__(
         self,
         journals: WorkerJournals,
