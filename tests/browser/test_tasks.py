@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.served import ConsoleProcess, RobotProcess, RosRobotProcess
-from tests.browser.test_console import NewRobot, action, open_action, row, send
+from tests.browser.archive import GOALS
+from tests.browser.served import ArchiveProcess, ConsoleProcess, RobotProcess, RosRobotProcess
+from tests.browser.test_console import NewRobot, action, goal, open_action, row, send
 from tests.support.ros_domain import own_domain
 
 COUNT = """
@@ -100,3 +103,76 @@ def test_to_see_the_camera(page: Page) -> None:
             camera = page.get_by_role("img", name="Image image of the topic")
             expect(camera).to_be_visible()
             assert clicks(page) == 2
+
+
+@pytest.fixture
+def archive(browser: object, tmp_path: Path) -> Generator[ArchiveProcess, None, None]:
+    """Start a robot whose goals of the past are in a history only."""
+    with ArchiveProcess(tmp_path) as running:
+        yield running
+
+
+def test_to_compare_two_runs(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    runs = [send(page, order=order) for order in ("2", "3")]
+    begin(page, f"{robot.url}/#/")
+    row(page, runs[0]).get_by_role("link", name=runs[0], exact=True).click()
+    goal(page).get_by_role("button", name="Compare", exact=True).click()
+    row(page, runs[1]).get_by_role("link", name=runs[1], exact=True).click()
+    comparison = page.get_by_role("region", name="Comparison")
+    expect(comparison).to_contain_text(re.compile(r"goal\.order\s*2\s*3"))
+    assert clicks(page) == 3
+
+
+def test_to_cancel_all_goals_of_a_client(page: Page, new_robot: NewRobot) -> None:
+    robot = new_robot()
+    other = page.context.new_page()
+    open_action(other, robot, "stubborn")
+    others = send(other, order="1001")
+    open_action(page, robot, "stubborn")
+    mine = [send(page, order="1001") for _ in range(2)]
+    begin(page, f"{robot.url}/#/")
+    rows = [row(page, one) for one in mine]
+    rows[0].locator(".client").get_by_role("button").click()
+    expect(row(page, others)).to_have_count(0)
+    page.get_by_role("button", name="Cancel all").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("cancel 2 goals of 127.0.0.1:")
+    dialog.get_by_role("button", name="Cancel them").click()
+    for one in rows:
+        expect(one).to_contain_text("canceled")
+    assert clicks(page) == 3
+    expect(row(other, others)).to_contain_text("executing")
+
+
+def test_to_run_again_what_failed_since_noon(page: Page, archive: ArchiveProcess) -> None:
+    begin(page, f"{archive.url}/#/")
+    failed = GOALS // 10
+    page.get_by_role("button", name="Failed since noon").click()
+    expect(page.locator(".list .note")).to_have_text(f"{failed} goals.")
+    page.get_by_role("button", name="Send all again").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text(f"sends {failed} goals once more")
+    dialog.get_by_role("button", name="Send them again").click()
+    expect(page.locator(".list .note")).to_have_text(f"{2 * failed} goals.")  # the can is empty
+    assert clicks(page) == 3
+
+
+def test_the_p95_of_today(page: Page, archive: ArchiveProcess) -> None:
+    begin(page, f"{archive.url}/#/")
+    page.get_by_text("Numbers", exact=True).click()
+    day = page.get_by_role("table", name="Numbers").get_by_role("row").filter(has_text="a day")
+    heads = page.get_by_role("columnheader").filter(has_text="p95")
+    expect(heads).to_have_count(2)
+    expect(day.first).to_contain_text(re.compile(r"^painta day230.*(s|ms)$"))
+    assert clicks(page) == 1
+
+
+def test_to_pause_an_action(page: Page, new_robot: NewRobot) -> None:
+    robot = new_robot()
+    begin(page, f"{robot.url}/#/")
+    action(page, "fibonacci").click()
+    page.get_by_role("button", name="Pause…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Pause", exact=True).click()
+    expect(action(page, "fibonacci")).to_contain_text("paused")
+    assert clicks(page) == 3

@@ -67,7 +67,7 @@ export class ActionPage {
         onagain: this.store.isRecording ? null : (one) => this.useAgain(one),
         onretry: (one) => this.retry(one),
         onrerun: (one) => this.rerun(one),
-        onlabel: (label) => this.choose(label),
+        onlabel: (label) => this.choose("label", label),
       });
       this.place.replaceChildren(this.view.element);
     }
@@ -152,9 +152,9 @@ export class ActionPage {
     }
   }
 
-  /** List the goals of a label. */
-  choose(label) {
-    this.list.filter.choose(label);
+  /** List the goals of a label, or of a client. */
+  choose(name, value) {
+    this.list.filter.choose(name, value);
     this.list.element.scrollIntoView({ block: "nearest" });
   }
 

@@ -6,6 +6,7 @@ import { csvOf, jsonOf, saveFile } from "./goal_export.js";
 import { counted } from "./goal_text.js";
 
 const AT_ONCE = 20;
+const MOST_NAMED = 3;
 
 export class ChosenGoals {
   /** Act at the server of a store; `onfail` is told errors, and `onchange` that others are chosen. */
@@ -70,13 +71,23 @@ export class ChosenGoals {
     this.choose(await this.found.all().catch((error) => (this.onfail(error.message), [])), true);
   }
 
-  /** Cancel those that are active, after a question. */
-  async cancelAll() {
-    const { active } = this;
-    const text = `This asks the server to cancel ${counted(active.length, "goal")}.`;
-    if (await confirmed("Cancel the chosen goals?", text, "Cancel them", "Keep them")) {
+  /** Cancel those of some goals that are active, after a question. */
+  async cancelAll(records = [...this.records.values()]) {
+    const active = records.filter((record) => record.isActive);
+    const clients = [...new Set(active.map(({ isMine, client }) => (isMine ? "this page" : client || "an unknown client")))];
+    const of = clients.length > MOST_NAMED ? counted(clients.length, "client") : clients.join(", ");
+    const text = `This asks the server to cancel ${counted(active.length, "goal")} of ${of}.`;
+    if (await confirmed("Cancel these goals?", text, "Cancel them", "Keep them")) {
+      this.choose(active, true);
       await this.each(active, "canceled", (record) => this.store.cancel(record));
     }
+  }
+
+  /** Send all goals that are found again, after a question. */
+  async sendAllAgain() {
+    this.records.clear();
+    await this.chooseAll();
+    await this.sendAgain();
   }
 
   /** Send those that have ended as new goals with their labels, after a question. */

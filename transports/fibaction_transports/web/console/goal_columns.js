@@ -1,6 +1,6 @@
 /** The columns of a list of goals: those that a person can choose, and how a list is sorted. */
 
-import { h, setProgress, setText, show } from "./dom.js";
+import { button, h, setProgress, setText, show } from "./dom.js";
 import { labelsOf } from "./goal_filter.js";
 import { breakable, durationOf, linkTo, shortId, showBadge, timeOf } from "./goal_text.js";
 import { resolverOf } from "./schema.js";
@@ -101,9 +101,10 @@ function lasting(record, seconds) {
 
 /** One cell, which shows the goal of its row. */
 export class Cell {
-  constructor(column, record) {
+  constructor(column, record, onclient) {
     this.column = column;
-    this.text = h("span");
+    const client = () => button("", () => onclient(record.client), { class: "quiet name", hidden: true });
+    this.text = column === "client" ? client() : h("span");
     this.labels = column === "request" ? h("small", { class: "labels" }) : null;
     const inner = { action: () => this.action(record), state: () => this.state(record) }[column]?.() ?? [this.text, this.labels];
     const kind = COLUMNS[column] ? column : "other";
@@ -149,6 +150,7 @@ export class Cell {
   write(text) {
     if (this.text.textContent !== text) {
       this.text.textContent = this.element.title = text;
+      show(this.text, text !== "");
     }
   }
 

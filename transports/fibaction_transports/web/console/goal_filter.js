@@ -1,6 +1,6 @@
 /** The choice of goals in a list: words, a state, a client, a label, and a span of time. */
 
-import { h } from "./dom.js";
+import { button, h } from "./dom.js";
 import { stateOf } from "./goal_text.js";
 import { pickedOf } from "./time_field.js";
 import { summaryOf } from "./values.js";
@@ -10,6 +10,7 @@ const STATES = {
   active: { fits: (goal) => goal.isActive, asked: ["active"] },
   waiting: { fits: (goal) => goal.status === "ACCEPTED", asked: ["ACCEPTED"] },
   ended: { fits: (goal) => !goal.isActive, asked: ["ended"] },
+  failed: { fits: (goal) => goal.status === "ABORTED", asked: ["ABORTED"] },
   "not succeeded": { fits: (goal) => !goal.isActive && goal.status !== "SUCCEEDED", asked: ["CANCELED", "ABORTED"] },
 };
 
@@ -30,14 +31,33 @@ export class GoalFilter {
     this.until = field("datetime-local");
     const named = { Client: this.client, Label: this.label, Since: this.since, Until: this.until };
     const fields = Object.entries(named).map(([name, input]) => h("label", {}, name, input));
+    const quick = (text, since) => button(text, () => this.chooseFailed(since()), { class: "quiet" });
+    this.quick = h("div", { class: "quick" }, quick("Failed today", () => lastAt(0)), quick("Failed since noon", () => lastAt(12)));
     this.more = h("details", { class: "more" }, h("summary", {}, "Client, label and time"), h("div", { class: "tools" }, ...fields));
   }
 
-  /** Choose the goals of a label. */
-  choose(label) {
-    this.label.value = label;
+  /** Choose the goals of a label, or of a client. */
+  choose(name, value) {
+    this[name].value = value;
     this.more.open = true;
     this.onchange();
+  }
+
+  /** Choose the goals that have failed since a time, and none of another choice. */
+  chooseFailed(since) {
+    this.query = `?${new URLSearchParams({ state: "failed", since: since.toISOString(), ...this.layout.parts })}`;
+    this.onchange();
+  }
+
+  /** Whether only goals that have ended are wanted. */
+  get isOfEnded() {
+    return ["ended", "failed", "not succeeded"].includes(this.state.value);
+  }
+
+  /** Whether not all goals are wanted. */
+  get isChoice() {
+    const { search, state, client, label, since, until } = this;
+    return state.selectedIndex > 0 || [search, client, label, since, until].some(({ value }) => value);
   }
 
   /** The choice as the end of an address; empty if all goals are wanted. */
@@ -92,6 +112,16 @@ export class GoalFilter {
     const many = [...actions.map((name) => ["action", name]), ...STATES[state.value].asked.map((status) => ["status", status])];
     return new URLSearchParams([...parts.filter(([, text]) => text), ...many]).toString();
   }
+}
+
+/** Return the last time at which it was so many hours after midnight here. */
+function lastAt(hours) {
+  const time = new Date();
+  time.setHours(hours, 0, 0, 0);
+  if (time > new Date()) {
+    time.setDate(time.getDate() - 1);
+  }
+  return time;
 }
 
 /** Return the time in a field in milliseconds; NaN if it is empty. */

@@ -38,13 +38,13 @@ class Sight {
 
 /** One goal in a table, which is written when it changes; its age and its progress only in view. */
 class Row {
-  constructor(record, columns, { oncancel, onchoose }) {
+  constructor(record, columns, { oncancel, onchoose, onclient }) {
     this.link = h("a", { href: linkTo(record.action, record.id) }, shortId(record.id));
     this.step = h("small", { class: "step" });
     this.box = h("input", { type: "checkbox", "aria-label": `Choose ${shortId(record.id)}`, onchange: () => onchoose(this.record, this.box.checked) });
     const name = `Cancel ${shortId(record.id)}`;
     this.cancel = button("Cancel", () => oncancel(this.record), { class: "quiet", "aria-label": name });
-    this.cells = columns.map((column) => new Cell(column, record));
+    this.cells = columns.map((column) => new Cell(column, record, onclient));
     this.hasReason = columns.includes("reason");
     this.isInView = false;
     this.written = [];
@@ -100,8 +100,10 @@ export class GoalList {
     this.search = this.filter.search;
     this.search.addEventListener("keydown", (event) => event.key === "Enter" && this.open());
     this.chosen = new ChosenGoals({ store, found: this.found, onfail, onchange: () => store.change() });
-    this.options = { oncancel, onchoose: (record, isChosen) => this.chosen.choose([record], isChosen) };
-    this.cancelAll = button("Cancel all", oncancelAll);
+    const onchoose = (record, isChosen) => this.chosen.choose([record], isChosen);
+    this.options = { oncancel, onchoose, onclient: (client) => this.filter.choose("client", client) };
+    this.cancelAll = button("Cancel all", () => (this.filter.isChoice ? this.chosen.cancelAll(this.wanted()) : oncancelAll()));
+    this.againAll = button("Send all again", () => this.chosen.sendAllAgain());
     this.forget = button("Clear list", onforget, { class: "quiet" });
     this.every = h("input", { type: "checkbox", "aria-label": "Choose all goals of this page", onchange: () => this.chosen.choose(this.shown, this.every.checked) });
     this.head = h("tr");
@@ -109,13 +111,13 @@ export class GoalList {
     this.note = h("p", { class: "note", role: "status" });
     const caption = h("caption", { class: "hidden-text" }, "Goals");
     this.table = h("table", { class: "goals" }, caption, h("thead", {}, this.head), this.body);
-    const tools = h("div", { class: "tools" }, this.search, this.filter.state, h("span", { class: "space" }), this.cancelAll, this.forget);
+    const tools = h("div", { class: "tools" }, this.search, this.filter.state, h("span", { class: "space" }), this.againAll, this.cancelAll, this.forget);
     const move = (step) => () => this.layout.change({ from: Math.max(this.layout.from + step * this.layout.rows, 0) });
     this.before = button("Previous", move(-1), { "aria-label": "Previous goals" });
     this.after = button("Next", move(1), { "aria-label": "Next goals" });
     const files = ["json", "csv"].map((ending) => button(`Save as ${ending.toUpperCase()}`, () => this.chosen.save(ending, this.listed), { class: "quiet" }));
     const foot = h("div", { class: "buttons" }, this.before, this.after, this.note, h("span", { class: "space" }), ...files);
-    const more = h("div", { class: "mores" }, this.filter.more, this.layout.element, new SavedViews().element);
+    const more = h("div", { class: "mores" }, this.filter.quick, this.filter.more, this.layout.element, new SavedViews().element);
     this.element = h("section", { class: "card list", "aria-label": "Goals" }, h("h2", {}, "Goals"), tools, more, this.chosen.element, h("div", { class: "rows" }, this.table), foot);
   }
 
@@ -145,12 +147,19 @@ export class GoalList {
     }
     chosen.update(page.total);
     this.every.checked = page.goals.length > 0 && page.goals.every((goal) => chosen.has(goal));
-    show(this.cancelAll, active > 1);
+    show(this.cancelAll, active > 1 && (!filter.isChoice || this.wanted().length > 0));
+    show(this.againAll, this.mayForget && filter.isOfEnded && page.goals.length > 0);
     show(this.forget, this.mayForget && goals.length > active);
     show(this.before, layout.from > 0);
     show(this.after, layout.from + page.goals.length < page.total && page.goals.length > 0);
     const note = found.isSearching ? "Searching…" : noteOf(layout.from, page);
     setText(this.note, [note, found.text].filter(Boolean).join(" "));
+  }
+
+  /** Return the active goals that are wanted, on other pages of the list too. */
+  wanted() {
+    const fits = this.filter.reader();
+    return this.listed.filter((goal) => goal.isActive && fits(goal));
   }
 
   rowOf(goal, isShown, query) {
