@@ -112,7 +112,7 @@ class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
         self._moved = Notifier()
-        monkeypatch.setattr(served_statuses, "current_time", lambda: self.now)
+        monkeypatch.setattr(served_statuses, "loop_clock", lambda: lambda: self.now)
         monkeypatch.setattr(anyio, "sleep_until", self._sleep_until)
 
     async def _sleep_until(self, when: float) -> None:

@@ -13,10 +13,11 @@ from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.followed_goals import FollowedGoals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.client.status_lists import ReceivedStatuses
-from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses
+from fibaction_transports.ros2.convert.status_bytes import pack_count, pack_line, pack_statuses
 from fibaction_transports.ros2.node.parts import TopicSubscription
 from fibaction_transports.ros2.on_dds.topics import DdsSubscription
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.messages.file_types import PARAMETER
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
@@ -170,3 +171,11 @@ def test_a_topic_of_latest_messages_may_skip_some(caplog: pytest.LogCaptureFixtu
     reader: Any = SimpleNamespace(topic="rt/status", qos=Qos(durability=Durability.TRANSIENT_LOCAL))
     numbered(DdsSubscription(reader, lambda *_: None, lambda _: False, no_pause), 1, 9)
     assert caplog.messages == []
+
+
+def test_the_number_of_feedback_messages_is_the_parameter_that_ros_reads() -> None:
+    message = PARAMETER()
+    message.name = str(GOAL)
+    message.value.type = 2  # PARAMETER_INTEGER
+    message.value.integer_value = 2**40 + 3
+    assert pack_count(GOAL, 2**40 + 3) == PARAMETER.codec.encode(message)

@@ -14,8 +14,9 @@ from typing import Any, ClassVar, Self
 import anyio
 import pytest
 
-from fibaction.border.event_loop import asyncio_loop
+from fibaction.border.event_loop import Background, asyncio_loop
 from fibaction.words.errors import TransportError
+from fibaction_transports.rtps import loops
 from fibaction_transports.rtps import sockets as sockets_module
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.events import (
@@ -408,6 +409,43 @@ async def test_a_loop_of_asyncio_wakes_once_for_the_earliest_time() -> None:
     await anyio.sleep(0.001)
     assert len(woken) == 2
     loop._fail(ValueError("a second error of the same turn"))
+
+
+@pytest.mark.asyncio
+async def test_samples_of_tasks_that_wake_each_other_are_sent_together_and_not_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(loops, "LONGEST_SETTLING", 1.0)
+    sent = list[int]()
+
+    class Sender:
+        def settle(self) -> None:
+            sent.append(written)
+
+        def read(self, source: socket.socket) -> None:
+            raise AssertionError
+
+        def work(self) -> bool:
+            raise AssertionError
+
+        def on_deadline(self) -> None:
+            raise AssertionError
+
+    loop, written = AsyncioLoop(), 0
+    async with Background() as tasks:
+        tasks.start_soon(loop.run, Sender(), ())
+        await anyio.wait_all_tasks_blocked()
+        for _ in range(10):
+            written += 1
+            loop.settle_soon()
+            await anyio.lowlevel.checkpoint()
+        for _ in range(2):
+            await anyio.lowlevel.checkpoint()
+        assert sent == [10]
+        monkeypatch.setattr(loops, "LONGEST_SETTLING", -1.0)
+        loop.settle_soon()
+        await anyio.lowlevel.checkpoint()
+        assert sent == [10, 10]  # not postponed for longer
 
 
 @pytest.mark.asyncio

@@ -17,11 +17,8 @@ import anyio
 
 from fibaction.border.event_loop import asyncio_loop, asyncio_task
 
-TURNS = 4
-"""Turns of the event loop after which `settle` is called: the samples that a goal causes are
-written in several turns, by several tasks, and share a datagram."""
 LONGEST_SETTLING = 0.001
-"""Seconds after which `settle` is called at the next turn, because each may take long."""
+"""Seconds after which `settle` is called in any case."""
 
 
 class Driven(Protocol):
@@ -52,7 +49,9 @@ class DrivingLoop(Protocol):
         """Call `on_deadline` at this time at the latest."""
 
     def settle_soon(self) -> None:
-        """Call `settle` soon, when those that are ready now have had their turn."""
+        """Call `settle` soon, when those that are ready now have had their turn: the samples that a
+        goal causes are written in several turns, by several tasks, and share a datagram.
+        """
 
     async def run(self, driven: Driven, sources: Sequence[socket.socket]) -> None:
         """Drive a participant with its sockets until canceled."""
@@ -83,15 +82,15 @@ class AsyncioLoop:
         self._alarm: asyncio.TimerHandle | None = None
         self._turn: asyncio.Handle | None = None
         self._settling: asyncio.Handle | None = None
-        self._turns = 0
+        self._is_wanted = False
         self._settle_until = 0.0
         self.time = self._loop.time
         """Return the time of the event loop."""
 
     def settle_soon(self) -> None:
-        """Call `settle` after a few turns of the event loop."""
+        """Call `settle` after a whole turn of the event loop in which nobody has asked for it."""
+        self._is_wanted = True
         if self._settling is None:
-            self._turns = TURNS
             self._settle_until = self.time() + LONGEST_SETTLING
             self._settling = self._loop.call_soon(self._settle)
 
@@ -148,8 +147,8 @@ class AsyncioLoop:
                 self._fail(exc)
 
     def _settle(self) -> None:
-        self._turns -= 1
-        if self._turns > 0 and self.time() < self._settle_until:
+        if self._is_wanted and self.time() < self._settle_until:
+            self._is_wanted = False
             self._settling = self._loop.call_soon(self._settle)
             return
         self._settling = None

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import anyio
-from anyio import current_time
 
+from fibaction.border.event_loop import loop_clock
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.ros2 import qos
@@ -64,14 +64,15 @@ class Presence:
         self._subscriptions = subscriptions
         _, self._status = subscriptions
         self._settings = settings
-        self._deadline = current_time() + settings.discovery_timeout
+        self._time = loop_clock()
+        self._deadline = self._time() + settings.discovery_timeout
         self._alive: int = 0
         self.silent: int = 0
         """The number of servers that are known to be silent."""
         self._dead: bool = False
         self._left: bool = False
         """True if the last server that lived was not among those that fell silent."""
-        self._unheard_since = self._looked = current_time()
+        self._unheard_since = self._looked = self._time()
         self._silent_since: float | None = None
         """The time at which a server was found silent; None if there is one that is not."""
         self._servers: frozenset[bytes] = frozenset()
@@ -103,7 +104,7 @@ class Presence:
         if not is_silent and matched:
             self._silent_since = None
         elif self._silent_since is None and is_silent and not self._has_left():
-            self._silent_since = current_time()
+            self._silent_since = self._time()
         return matched and not is_silent
 
     def _is_doubted(self) -> bool:
@@ -120,7 +121,7 @@ class Presence:
         """Note that a server is there without any sign of life: it may have died before its first
         one. Only an uninterrupted time counts.
         """
-        now = current_time()
+        now = self._time()
         if self._alive or not matched or now - self._looked > self.lease:
             self._unheard_since = now
         self._looked = now
@@ -128,7 +129,7 @@ class Presence:
     def may_return(self) -> bool:
         """Return whether the last server has fallen silent, and may still be there again."""
         since = self._silent_since
-        return since is not None and current_time() - since < self._settings.grace
+        return since is not None and self._time() - since < self._settings.grace
 
     def have_gone(self, servers: frozenset[bytes]) -> bool:
         """Return whether none of these servers is there any more, and others are."""
@@ -142,7 +143,7 @@ class Presence:
         They are looked up when their number has changed, or after `WATCH_PAUSE`, and not for each
         of many status lists: a look takes about 0.1 ms.
         """
-        now = current_time()
+        now = self._time()
         count = self._status.publisher_count()
         before, then = self._counted
         if count != before or now - then >= WATCH_PAUSE:
@@ -160,7 +161,7 @@ class Presence:
         """
         while not self.is_there():
             self._ros.raise_if_lost()
-            if current_time() >= self._deadline and not self.may_return():
+            if self._time() >= self._deadline and not self.may_return():
                 raise ServerNotFound(self._why_not_found())
             await self._ros.graph_news(LOOK_PAUSE)
         self._deadline = -math.inf  # from now on, a server that leaves is missed at once

@@ -21,6 +21,7 @@ from collections.abc import Callable
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2 import qos
+from fibaction_transports.ros2.convert.status_bytes import pack_count
 from fibaction_transports.ros2.names import count_topic
 from fibaction_transports.ros2.node.parts import TopicPublisher
 from fibaction_transports.ros2.node.ros_node import RosNode
@@ -36,16 +37,11 @@ class PublishedCounts:
             self._publisher = ros.publisher(topic, ros.types.Parameter, qos.counts())
         except TransportError as exc:
             ros.warn(f"{action}: clients are not told how many feedback messages a goal had: {exc}")
-        self._message = ros.types.Parameter()
-        self._message.value.type = 2  # PARAMETER_INTEGER
 
     def publish(self, goal_id: GoalID, count: int) -> None:
         """Publish the number of feedback messages of a goal that has ended."""
-        if self._publisher is None:
-            return
-        self._message.name = str(goal_id)
-        self._message.value.integer_value = count
-        self._publisher.publish(self._message)
+        if self._publisher is not None:
+            self._publisher.publish_bytes(pack_count(goal_id, count))
 
 
 class ReceivedCounts:

@@ -27,9 +27,9 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import anyio
-from anyio import current_time
 
 from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import loop_clock
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
 from fibaction_transports.ros2.node.parts import (
@@ -162,7 +162,8 @@ class DdsCaller(ServiceCaller):
         self._is_closed = False
         self._sent = Notifier()
         self._pause = FIRST_ASK
-        self._due = current_time()
+        self._time = loop_clock()
+        self._due = self._time()
 
     def send(self, request: Any) -> int:
         self._calls += 1
@@ -173,7 +174,7 @@ class DdsCaller(ServiceCaller):
             raise ConnectionLost(f"{self.ends.writer.topic} is not read: {exc}") from exc
         _put(self._open, self._calls, None)
         self._pause = FIRST_ASK
-        self._due = current_time() + self._pause
+        self._due = self._time() + self._pause
         self._sent.notify()
         return self._calls
 
@@ -240,7 +241,7 @@ class DdsCaller(ServiceCaller):
         if known is None:
             return None
         participant = sample.writer[:PREFIX_SIZE]
-        self.ends.writer.receive_answer(participant, identity.number, current_time())
+        self.ends.writer.receive_answer(participant, identity.number, self._time())
         self._answered.append(identity.number)
         if len(self._answered) > ANSWERED_REQUESTS:
             self._of_sample.pop(self._answered.popleft(), None)
@@ -259,12 +260,12 @@ class DdsCaller(ServiceCaller):
                 await self._sent.wait()
                 continue
             await anyio.sleep_until(self._due)
-            if current_time() < self._due or not self._open:
+            if self._time() < self._due or not self._open:
                 continue
-            self.ends.reader.ask(current_time())
+            self.ends.reader.ask(self._time())
             self.ends.network.settle()
             self._pause = min(2 * self._pause, LONGEST_ASK)
-            self._due = current_time() + self._pause
+            self._due = self._time() + self._pause
 
 
 class RequestHeader(NamedTuple):

@@ -32,9 +32,9 @@ that the sender has left.
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Sequence
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, TypeAlias
 
 import anyio
 from anyio.abc import TaskGroup
@@ -79,6 +79,9 @@ RETRY_PAUSE = 1.0
 logger = clean_logger("fibaction.ros2")
 
 
+_Forwarded: TypeAlias = tuple[GoalID, GoalForwarder, FeedbackPublisher]
+
+
 class ServedEndpoint:
     """An endpoint, and the ROS type of its action, which is looked up before anything is served."""
 
@@ -114,6 +117,9 @@ class RosActionServer:
         self._name = served.endpoint.info.name
         self._names = action_names(ros.resolve, self._name)
         self._deciding: set[GoalID] = set()
+        self._accepted: dict[GoalID, _Forwarded] = {}
+        """The goals whose acceptance is being answered; the task of each request then continues
+        with the goal."""
         self._forwarders: dict[GoalID, GoalForwarder] = {}
         self._progress = Notifier()
         services = qos.services(settings.services_qos)
@@ -129,9 +135,19 @@ class RosActionServer:
             self._deciding.discard(goal_id)
             self._statuses.repeat_later(goal_id)
 
+        def follow(request: Any) -> Awaitable[None] | None:
+            accepted = self._accepted.pop(goal_id_of(request.goal_id), None)
+            return None if accepted is None else self._run_forwarder(*accepted)
+
         self._ros.introspect(
             settings.introspection,
-            serve(full.send_goal, impl.SendGoalService, self._answer_goal, done=decided),
+            serve(
+                full.send_goal,
+                impl.SendGoalService,
+                self._answer_goal,
+                done=decided,
+                follow=follow,
+            ),
             serve(full.cancel_goal, impl.CancelGoalService, self._answer_cancel, failure=rejected),
             serve(full.get_result, impl.GetResultService, self._answer_result, is_awaited=False),
         )
@@ -208,7 +224,7 @@ class RosActionServer:
         stream = await self._endpoint.send_goal(goal_id, payload, checked=True)
         # Here and not only by the stream of all statuses, which may be read after the goal's own.
         self._statuses.update(GoalInfo(goal_id, stream.stamp, GoalStatus.ACCEPTED))
-        self._forward(stream)
+        self._accepted[goal_id] = self._forwarded(stream)
         return self._statuses.stamps.to_ros(goal_id, stream.stamp)
 
     async def _answer_cancel(self, request: Any) -> Any:
@@ -242,7 +258,10 @@ class RosActionServer:
                 await self._progress.wait()
         forwarder = self._forwarders.get(goal_id)
         if forwarder is not None:
-            return await forwarder.answer()
+            response = await forwarder.answer()
+            # First, and in a later turn than the end: one list tells the ends of all of its turn.
+            self._statuses.publish_if_due()
+            return response
         try:
             outcome = await self._endpoint.get_result(goal_id)
         except ActionError as exc:  # a gateway has lost the server behind it
@@ -265,19 +284,20 @@ class RosActionServer:
 
     # Goals
 
-    def _forward(self, stream: GoalStream) -> None:
+    def _forwarded(self, stream: GoalStream) -> _Forwarded:
+        """Note that a goal is forwarded from now on; `_run_forwarder` does it."""
         goal_id = stream.goal_id
         feedback = self._feedback.of(goal_id)
         forwarder = GoalForwarder(stream, feedback.publish, self._statuses.update)
         self._forwarders[goal_id] = forwarder
-        self._tasks.start_soon(
-            self._run_forwarder, goal_id, forwarder, feedback, name=f"goal of {self._name}"
-        )
+        return goal_id, forwarder, feedback
 
     async def _run_forwarder(
         self, goal_id: GoalID, forwarder: GoalForwarder, feedback: FeedbackPublisher
     ) -> None:
         try:
+            # A goal that ends at once has ended then, and everything is taken by one look.
+            await anyio.lowlevel.checkpoint()
             # A client that does not know of the goal yet would ignore its feedback.
             while goal_id in self._deciding:
                 await self._progress.wait()
@@ -295,8 +315,6 @@ class RosActionServer:
             status = GoalStatus(response.status)
             if status.is_terminal:
                 self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
-            await anyio.lowlevel.checkpoint()  # one list tells the ends of all goals of this turn
-            self._statuses.publish_if_due()
             await forwarder.hand_over(response)
         finally:
             del self._forwarders[goal_id]
@@ -335,7 +353,7 @@ class RosActionServer:
         except Exception as exc:
             self._log_failure(f"no feedback of goal {goal_id}", exc)
         else:
-            self._forward(stream)
+            await self._run_forwarder(*self._forwarded(stream))
 
     def _log_failure(self, what: str, exc: Exception) -> None:
         """Log an exception of the endpoint. One that is not an `ActionError` is a bug of the

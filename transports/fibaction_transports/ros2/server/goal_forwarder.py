@@ -46,13 +46,16 @@ class GoalForwarder:
         with self.stream as stream:
             try:
                 while (outcome := await self._forward_some(stream)) is None:
-                    await anyio.lowlevel.checkpoint()
+                    pass
                 return outcome
             except ActionError as exc:  # a gateway has lost the server behind it
                 return Outcome(GoalStatus.UNKNOWN, reason=str(exc))
 
     async def _forward_some(self, stream: GoalStream) -> Outcome[bytes] | None:
         updates = stream.take(BATCH)
+        if not updates:
+            await stream.news.wait()
+            return None
         for update in updates:
             if isinstance(update, FeedbackItem):
                 await self._publish(update.payload)
@@ -60,8 +63,8 @@ class GoalForwarder:
                 self._update(GoalInfo(stream.goal_id, stream.stamp, update))
             else:
                 return update
-        if not updates:
-            await stream.news.wait()
+        if isinstance(updates[-1], FeedbackItem):
+            await anyio.lowlevel.checkpoint()
         return None
 
     @property

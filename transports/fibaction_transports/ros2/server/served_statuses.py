@@ -8,10 +8,10 @@ import math
 from collections.abc import Callable
 
 import anyio
-from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import loop_clock
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.convert.status_bytes import pack_line, pack_statuses, status_of
@@ -50,6 +50,7 @@ class ServedStatuses:
         self._due = -math.inf
         """The time from which the next list may be published."""
         self._publish_bytes = publish
+        self._time = loop_clock()
         self._lines: dict[GoalID, bytes] = {}
         self._changed: set[GoalID] = set()
         self._leaving: list[GoalInfo] = []
@@ -107,7 +108,7 @@ class ServedStatuses:
         """Publish the list now, if it has changed and no other was published just before; `run`
         publishes it otherwise.
         """
-        if self._changed and current_time() >= self._due:
+        if self._changed and self._time() >= self._due:
             self._publish()
 
     def flush(self) -> None:
@@ -117,7 +118,7 @@ class ServedStatuses:
 
     def _publish(self) -> None:
         self._changed.clear()
-        now = self.published_at = current_time()
+        now = self.published_at = self._time()
         pause = min(SECONDS_PER_LINE * len(self._lines), LONGEST_PAUSE)
         self._due = max(self._due, now - BURST) + pause
         self._publish_bytes(pack_statuses(self._lines.values()))
@@ -130,7 +131,7 @@ class ServedStatuses:
         while True:
             while not self._changed:
                 await self._news.wait()
-            if current_time() < self._due:
+            if self._time() < self._due:
                 await anyio.sleep_until(self._due)
             self.flush()
 

@@ -8,10 +8,10 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import anyio
-from anyio import current_time
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import loop_clock
 from fibaction.border.peer_text import clean_logger
 from fibaction_transports.ros2.node.parts import ServiceProvider
 from fibaction_transports.ros2.node.ros_node import RosNode
@@ -39,6 +39,7 @@ class ServiceServers:
         self._qos = qos
         self._tasks = tasks
         self._progress = progress
+        self._time = loop_clock()
         self._is_closed = False
         self._underway = 0
         self._awaited = 0
@@ -53,6 +54,7 @@ class ServiceServers:
         failure: Any = None,
         is_awaited: bool = True,
         done: Callable[[Any], None] = lambda request: None,
+        follow: Callable[[Any], Awaitable[None] | None] = lambda request: None,
     ) -> ServiceProvider:
         """Serve one of the services.
 
@@ -64,6 +66,8 @@ class ServiceServers:
             is_awaited: `is_busy` waits for these requests. Requests for results last as long as
                 their goals, and are not waited for.
             done: Called with the request after the response was sent, or could not be sent.
+            follow: Called with the request after that. What it returns is awaited in the task of
+                the request, which does not count as under way any more.
 
         Raises:
             TransportError: ROS does not allow it.
@@ -99,6 +103,10 @@ class ServiceServers:
                 self._underway -= 1
                 self._awaited -= is_awaited
                 self._progress.notify()
+            following = follow(request)
+            request = response = None  # what follows may last long
+            if following is not None:
+                await following
 
         provider = self._ros.provider(service, service_type, self._qos, begin)
         return provider
@@ -115,7 +123,7 @@ class ServiceServers:
                     )
                     return
                 await anyio.sleep(pause)
-            self.sent_at = current_time()
+            self.sent_at = self._time()
         finally:
             self._sending -= 1
 
