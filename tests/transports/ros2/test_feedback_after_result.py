@@ -17,7 +17,7 @@ from fibaction_transports.ros2.convert.status_bytes import pack_count, pack_line
 from fibaction_transports.ros2.node.parts import TopicSubscription
 from fibaction_transports.ros2.on_dds.topics import DdsSubscription
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.without_ros.messages.file_types import PARAMETER
+from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability

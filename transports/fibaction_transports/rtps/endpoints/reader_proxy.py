@@ -23,6 +23,7 @@ from collections.abc import Iterable, Iterator
 
 from fibaction_transports.rtps.endpoints.history import History, StoredSample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
+from fibaction_transports.rtps.limits import MIB
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
@@ -49,6 +50,10 @@ ANSWERED_SOON = 0.02
 """Seconds after which a sample without a heartbeat has one, unless it was answered."""
 SILENCE = 10.0
 """Seconds without an acknowledgement after which a reader keeps no samples back."""
+PATIENCE = 60.0
+"""The same for a reader that asks meanwhile: most of what is sent to it may be lost."""
+MOST_ASKED, MOST_ASKED_BYTES = 256, MIB
+"""Samples that such a reader keeps back at most after `SILENCE`, and their bytes."""
 GAP_SIZE = 32
 """Bytes of a GAP that tells that a sample does not come."""
 
@@ -86,6 +91,8 @@ class ReaderProxy:
         """The number up to which it has all samples."""
         self.waits_since = 0.0
         """The time since which it lacks samples and has got none of them."""
+        self._asked_at = -math.inf
+        """The time at which it has asked for samples, or for a heartbeat."""
 
     def start(self, before: int, *, is_reliable: bool, is_late: bool, now: float) -> None:
         """Begin after the sample with this number; a late reader gets those that are kept."""
@@ -102,9 +109,11 @@ class ReaderProxy:
 
     def is_silent(self, now: float) -> bool:
         """Return whether it lacks samples and has got none of them for long."""
-        if now - self.waits_since <= SILENCE:
+        history, waits = self._history, now - self.waits_since
+        if waits <= SILENCE or not self.has_unacknowledged(history.last):
             return False
-        return self.has_unacknowledged(self._history.last)
+        is_little = len(history) <= MOST_ASKED and history.bytes <= MOST_ASKED_BYTES
+        return waits > PATIENCE or now - self._asked_at > SILENCE or not is_little
 
     def write(self, number: int, sample: StoredSample, now: float) -> None:
         """Send a new sample, or a GAP if the reader does not get it."""
@@ -166,6 +175,8 @@ class ReaderProxy:
     def receive_acknack(self, nack: AckNack, now: float) -> None:
         """Note what the reader has, and send what it misses, if it was not sent just now."""
         has = nack.missing.base - 1
+        if not nack.is_final or nack.missing.numbers:
+            self._asked_at = now
         if nack.is_final or nack.missing.numbers:
             self._is_current = not nack.missing.numbers
         if has > self.acknowledged:
@@ -196,6 +207,7 @@ class ReaderProxy:
 
     def receive_fragment_nack(self, nack: FragmentNack, now: float) -> None:
         """Send the fragments that the reader misses, if they were not sent just now."""
+        self._asked_at = now
         number, size = nack.number, self._shared.fragment_size
         if number > self._history.last or self._was_sent_just_now(number, now):
             return

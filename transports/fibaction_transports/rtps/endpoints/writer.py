@@ -31,7 +31,7 @@ class DataWriter:
     """The writer of a topic: it keeps samples, and sends them until readers have them.
 
     A reader that has been silent for long keeps nothing back: its samples are forgotten when all
-    others have acknowledged them.
+    others have acknowledged them. One that asks for them is waited for longer, if they are few.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class DataWriter:
             else:
                 proxy.skip(number)
             is_awaited |= proxy.is_reliable and (
-                now - proxy.waits_since <= SILENCE or not proxy.has_unacknowledged(number)
+                now - proxy.waits_since <= SILENCE or not proxy.is_silent(now)
             )
         for reader in self.own_readers.values():
             reader.take_own(self.guid, number, sample, now)
