@@ -16,6 +16,7 @@ import anyio
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.border.event_loop import Slices
+from fibaction.feeds.known_goals import statuses_soon
 from fibaction.words.goal_query import GoalQuery, place_of, sort_key
 from fibaction.words.goals import GoalID, GoalInfo
 
@@ -66,7 +67,7 @@ class GoalSearch:
         """
         action = endpoint.info.name
         wanted = self._wanted.at(action)
-        with await endpoint.status() as statuses:
+        with await statuses_soon(endpoint) as statuses:
             known = await statuses.listed()
             ids = set(map(place_of, known))
 

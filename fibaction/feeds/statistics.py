@@ -27,6 +27,7 @@ import msgspec
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.border.event_loop import Slices
+from fibaction.feeds.known_goals import statuses_soon
 from fibaction.words.goal_query import GoalQuery, Place
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus
@@ -205,7 +206,7 @@ async def statistics_of(endpoint: Endpoint, since: int) -> ActionStatistics:
     """
     statistics = GoalStatistics(time.time_ns(), since)
     slices = Slices()
-    with await endpoint.status() as statuses:
+    with await statuses_soon(endpoint) as statuses:
         remembered = await statuses.listed()
     known: set[Place] = set()
     for info in remembered:

@@ -8,6 +8,9 @@ import anyio
 import pytest
 
 from fibaction import connect, serve
+from fibaction.border.endpoints import ForwardingEndpoint
+from fibaction.border.streams import StatusStream
+from fibaction.feeds import known_goals
 from tests.support.fibonacci import FIBONACCI
 from tests.support.ports import free_port
 from tests.transports.tcp.servers import new_server
@@ -64,3 +67,29 @@ async def test_a_server_that_is_away_is_told_at_once_and_everywhere_until_it_is_
                 await until(url, "/readyz", 200)
                 answer = await fetch(url, "POST", f"{GOALS}?wait=20", {"order": 3})
                 assert answer.json["status"] == "SUCCEEDED"
+
+
+class Frozen(ForwardingEndpoint):
+    """A server that does not answer, and does not count as away yet."""
+
+    async def status(self) -> StatusStream:
+        await anyio.sleep_forever()
+        raise AssertionError
+
+
+async def test_a_list_does_not_wait_for_a_frozen_server_until_it_counts_as_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(known_goals, "ANSWERING", 0.05)
+    with anyio.fail_after(20):
+        async with serve(Frozen(new_server()), "http://127.0.0.1:0") as (url,):
+            found = await fetch(url, "GET", "/goals")
+            assert (found.status, found.json["away"]) == (200, ["fibonacci"])
+            for method, path in (
+                ("GET", GOALS),
+                ("DELETE", f"{GOALS}?status=active"),
+                ("GET", "/actions/fibonacci/stats"),
+            ):
+                answer = await fetch(url, method, path)
+                assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+                assert "has not answered for 0.05 s" in answer.json["detail"]

@@ -27,6 +27,7 @@ from fibaction.border.abc import Endpoint, cancel_each
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.border.streams import GoalStream
+from fibaction.feeds.known_goals import statuses_soon
 from fibaction.schema.payload import GoalCodec, JsonCodec
 from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.types.action import ActionInfo
@@ -217,7 +218,7 @@ class RestInterface:
     async def _list_goals(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
         page = page_of(exchange.query, time_ns())
-        with await endpoint.status() as statuses:
+        with await statuses_soon(endpoint) as statuses:
             # Afterwards, so that a goal which is forgotten meanwhile is in one of them.
             past = await past_of(endpoint, page)
             body, cursor = await listed(statuses, page, self._turn, past)
@@ -379,7 +380,7 @@ class RestInterface:
             # Who may not see the goals cannot ask by a filter what they are.
             await self._endpoint(client, route, Permission.OBSERVE)
             page = page_of(exchange.query, time_ns())
-            with await endpoint.status() as statuses:
+            with await statuses_soon(endpoint) as statuses:
                 infos = await chosen(statuses, page, self._turn)
             active = (info for info in infos if info.status.is_active)
             answer = await cancel_each(
