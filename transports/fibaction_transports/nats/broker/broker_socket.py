@@ -45,15 +45,15 @@ def published(
 
 def headers_of(block: bytes) -> dict[str, str]:
     """Return the headers of a message; the status that a broker gives by itself is `Status`."""
-    first, _, rest = block.decode("utf-8", "replace").partition("\r\n")
+    first, *lines = block.decode("utf-8", "replace").split("\r\n")
     headers: dict[str, str] = {}
-    status = first.split(" ", 2)[1:2]
-    if status:
-        headers["Status"] = status[0]
-    for line in rest.split("\r\n"):
-        name, _, value = line.partition(":")
-        if name:
+    if " " in first:
+        headers["Status"] = first.split(" ", 2)[1]
+    for line in lines:
+        if line:
+            name, _, value = line.partition(":")
             headers[name] = value.strip()
+    headers.pop("", None)
     return headers
 
 
@@ -125,6 +125,7 @@ class BrokerSocket(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
+        self._pings = 0  # a broker that sends is there; its PONG may wait behind many records
         self._take(bytes(self._buffer[:nbytes]))
 
     def pause_writing(self) -> None:
@@ -197,9 +198,7 @@ class BrokerSocket(asyncio.BufferedProtocol):
         """Handle a line that is not a message."""
         if words[0] == "PING":
             self.write(b"PONG\r\n")
-        elif words[0] == "PONG":
-            self._pings = 0
         elif words[0] == "-ERR":  # the broker closes the connection, if it has to
             logger.debug("a broker reports %s", " ".join(words[1:]))
-        elif words[0] not in ("INFO", "+OK"):
+        elif words[0] not in ("INFO", "+OK", "PONG"):
             raise ValueError(f"an unknown message {words[0]!r}")

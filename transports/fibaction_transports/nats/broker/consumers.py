@@ -33,6 +33,7 @@ import anyio
 import msgspec
 
 from fibaction.border.abc import Notifier
+from fibaction.border.event_loop import loop_clock
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
@@ -116,6 +117,7 @@ class RecordWatch(BrokerWatch):
         self._is_told = False  # and `next` has said so
         self._is_missing = False
         self._is_broken = True
+        self._clock = loop_clock()
         self._heard = 0.0
         self._flow: list[str] = []
         self._news = Notifier()
@@ -142,7 +144,7 @@ class RecordWatch(BrokerWatch):
             return True
         if self._is_missing:
             return True
-        return anyio.current_time() - self._heard > HEARTBEAT * MISSED
+        return self._clock() - self._heard > HEARTBEAT * MISSED
 
     async def _begin(self) -> None:
         """Make a new consumer; while its stream is missing, it is like an empty one."""
@@ -174,7 +176,7 @@ class RecordWatch(BrokerWatch):
         }
         self._records, self._flow, self._taken = [], [], 0
         self._is_broken = self._is_complete = self._is_told = False
-        self._heard = anyio.current_time()
+        self._heard = self._clock()
         self._consumer = name  # one that is not answered in time may be made nevertheless
         try:
             answer = await self._maker.make(name, config)
@@ -190,7 +192,7 @@ class RecordWatch(BrokerWatch):
             self._is_complete = True
 
     def _on_message(self, message: Message) -> None:
-        self._heard = anyio.current_time()
+        self._heard = self._clock()
         if message.status == "100":
             if message.reply:  # flow control
                 self._flow.append(message.reply)
