@@ -18,6 +18,7 @@ from fibaction_transports.ros2 import Node, open_node
 from tests.cli.conftest import Run, Start
 from tests.support.processes import ended, lines_until
 from tests.support.ros_domain import own_domain
+from tests.support.zenoh_router import own_router
 
 STRING, BOOL = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 QUICK = ("--timeout", "0.1")
@@ -26,8 +27,10 @@ QUICK = ("--timeout", "0.1")
 class Robot:
     """A node in another thread, for what the tests need of it."""
 
-    def __init__(self, portal: BlockingPortal, node: Node) -> None:
+    def __init__(self, portal: BlockingPortal, node: Node, url: str) -> None:
         self.node = node
+        self.at = "-u", url
+        """The option with which a command finds it."""
         self._portal = portal
 
     def do(self, call: Callable[..., Any], *given: Any) -> Any:
@@ -44,26 +47,27 @@ class Robot:
         return self._portal.start_task_soon(publish)
 
 
-@pytest.fixture(scope="module")
-def robot() -> Iterator[Robot]:
-    with own_domain(), start_blocking_portal() as portal:
-        with portal.wrap_async_context_manager(open_node("dds://robot", arguments=[])) as node:
-            robot = Robot(portal, node)
+@pytest.fixture(scope="module", params=["dds://", "zenoh:///"])
+def robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
+    url: str = request.param
+    with own_domain(), own_router(), start_blocking_portal() as portal:
+        opening = open_node(f"{url}robot", arguments=[])
+        with portal.wrap_async_context_manager(opening) as node:
+            robot = Robot(portal, node, url)
             talk = robot.keep_publishing("/chatter", {"data": "hello"})
             yield robot
             talk.cancel()
 
 
-@pytest.mark.usefixtures("robot")
-def test_topics_are_listed_and_a_message_is_printed(here: Run) -> None:
+def test_topics_are_listed_and_a_message_is_printed(robot: Robot, here: Run) -> None:
     began = time.monotonic()
-    listed = here("topic", "list", "-u", "dds://")
+    listed = here("topic", "list", *robot.at)
     assert time.monotonic() - began < 4  # it ends when discovery is complete
     assert "/chatter\n" in listed.out
-    assert f"/chatter [{STRING}]\n" in here("topic", "list", "-t", "-u", "dds://").out
-    as_json = here("topic", "list", "-u", "dds://", "--json").out.splitlines()
+    assert f"/chatter [{STRING}]\n" in here("topic", "list", "-t", *robot.at).out
+    as_json = here("topic", "list", *robot.at, "--json").out.splitlines()
     assert {"topic": "/chatter", "type": STRING} in map(json.loads, as_json)
-    once = ("topic", "echo", "/chatter", "--once", "-u", "dds://")
+    once = "topic", "echo", "/chatter", "--once", *robot.at
     assert here(*once) == (0, "data: hello\n---\n", "")
     assert json.loads(here(*once, "--json").out) == {"data": "hello"}
 
@@ -76,45 +80,46 @@ def test_a_topic_is_described_with_its_ends_and_read_with_their_quality_of_servi
     )
     lasting = robot.do(partial(robot.node.publisher, "/kept", STRING, qos="keep_all"))
     robot.do(latched.publish, {"data": "kept"})
-    assert here("topic", "echo", "/map", "--once", "-u", "dds://").out == "data: kept\n---\n"
-    told = here("topic", "info", "/map", "-u", "dds://")
+    assert here("topic", "echo", "/map", "--once", *robot.at).out == "data: kept\n---\n"
+    told = here("topic", "info", "/map", *robot.at)
     assert told.out == f"Type: {STRING}\nPublisher count: 1\nSubscription count: 0\n"
-    verbose = here("topic", "info", "/map", "-v", "-u", "dds://").out
+    verbose = here("topic", "info", "/map", "-v", *robot.at).out
     for line in (
         "\nNode name: robot\nNode namespace: /\nTopic type: std_msgs/msg/String\n",
         "\nEndpoint type: PUBLISHER\nGID: ",
         (
             "\nQoS profile:\n  Reliability: BEST_EFFORT\n  History (Depth): KEEP_LAST (10)\n"
-            "  Durability: TRANSIENT_LOCAL\n  Lifespan: Infinite\n"
+            "  Durability: TRANSIENT_LOCAL\n  Lifespan: Infinite\n  Deadline: Infinite\n"
+            "  Liveliness: AUTOMATIC\n  Liveliness lease duration: Infinite\n"
         ),
         "\nTopic type hash: RIHS01_",
         "\nSubscription count: 0\n",
     ):
         assert line in verbose
-    assert "(Depth): KEEP_ALL\n" in here("topic", "info", "/kept", "-v", "-u", "dds://").out
-    rosout = here("topic", "info", "/rosout", "-v", "-u", "dds://").out
+    assert "(Depth): KEEP_ALL\n" in here("topic", "info", "/kept", "-v", *robot.at).out
+    rosout = here("topic", "info", "/rosout", "-v", *robot.at).out
     assert "  Lifespan: 10 s\n" in rosout
     for end in (latched, lasting):
         robot.do(end.close)
 
 
 @pytest.mark.processes
-@pytest.mark.usefixtures("robot")
 @pytest.mark.parametrize(
     ("verb", "line"),
     [("echo", "data: hello\n"), ("hz", "average rate: ")],
 )
 def test_messages_are_printed_and_counted_until_a_signal_comes(
-    started: Start, verb: str, line: str
+    robot: Robot, started: Start, verb: str, line: str
 ) -> None:
-    process = started("topic", verb, "/chatter", "-u", "dds://")
+    process = started("topic", verb, "/chatter", *robot.at)
     assert any(one.startswith(line) for one in lines_until(line, process))
     process.send_signal(signal.SIGINT)
     assert ended(process)[0] == 0
 
 
-@pytest.mark.usefixtures("robot")
-def test_the_rate_is_told_as_json_too(here: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rate_is_told_as_json_too(
+    robot: Robot, here: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from fibaction.cli.verbs import topics
 
     async def a_while(act: Callable[[], Any]) -> None:
@@ -122,23 +127,23 @@ def test_the_rate_is_told_as_json_too(here: Run, monkeypatch: pytest.MonkeyPatch
             await act()
 
     monkeypatch.setattr(topics, "until_interrupted", a_while)
-    told = here("topic", "hz", "/chatter", "-u", "dds://", "--json").out.splitlines()
+    told = here("topic", "hz", "/chatter", *robot.at, "--json").out.splitlines()
     assert set(json.loads(told[0])) == {"rate", "min", "max", "std_dev", "window"}
-    assert "s std dev: 0.0" in here("topic", "hz", "/chatter", "-u", "dds://").out
-    assert here("topic", "echo", "/chatter", "-u", "dds://").out.startswith("data: hello\n---\n")
-    assert here("topic", "pub", "/x", STRING, "data: a", "-r", "100", "-u", "dds://").code == 0
+    assert "s std dev: 0.0" in here("topic", "hz", "/chatter", *robot.at).out
+    assert here("topic", "echo", "/chatter", *robot.at).out.startswith("data: hello\n---\n")
+    assert here("topic", "pub", "/x", STRING, "data: a", "-r", "100", *robot.at).code == 0
 
 
 def test_a_message_is_published_once_when_someone_reads(robot: Robot, here: Run) -> None:
     heard = robot.do(robot.node.subscribe, "/heard", STRING)
-    published = here("topic", "pub", "/heard", STRING, "data: now", "--once", "-u", "dds://")
+    published = here("topic", "pub", "/heard", STRING, "data: now", "--once", *robot.at)
     assert published == (0, "publishing #1: std_msgs.msg.String(data='now')\n\n", "")
     assert robot.do(heard.next, 5).data == "now"
-    words = ("-t", "2", "-r", "100", "-w", "1", "-u", "dds://")
+    words = ("-t", "2", "-r", "100", "-w", "1", *robot.at)
     twice = here("topic", "pub", "/heard", STRING, "data: again", *words)
     assert "publishing #2: " in twice.out
     assert [robot.do(heard.next, 5).data for _ in range(2)] == ["again", "again"]
-    many = ("-w", "2", "--timeout", "0.5", "-u", "dds://")
+    many = ("-w", "2", "--timeout", "0.5", *robot.at)
     few = here("topic", "pub", "/heard", STRING, "data: x", *many)
     assert few.err == "Error: fewer than 2 have subscribed to /heard in 0.5 s\n"
 
@@ -148,17 +153,17 @@ def test_a_service_is_called_and_its_answer_printed(robot: Robot, here: Run) -> 
         return {"success": request.data, "message": "done"}
 
     with robot.do(partial(robot.node.serve_service, "/reset", BOOL, answer)):
-        listed = here("service", "list", "-u", "dds://").out
+        listed = here("service", "list", *robot.at).out
         assert "/reset\n" in listed
         assert "/fibaction_" not in listed  # the node that lists them
-        assert f"/reset [{BOOL}]\n" in here("service", "list", "-t", "-u", "dds://").out
-        call = ("service", "call", "/reset", BOOL, "data: true", "-u", "dds://")
+        assert f"/reset [{BOOL}]\n" in here("service", "list", "-t", *robot.at).out
+        call = ("service", "call", "/reset", BOOL, "data: true", *robot.at)
         assert here(*call) == (0, "success: true\nmessage: done\n", "")
         assert json.loads(here(*call, "--json").out) == {"success": True, "message": "done"}
 
 
 def test_parameters_are_listed_read_dumped_and_refused(robot: Robot, here: Run) -> None:
-    at = ("-u", "dds://")
+    at = robot.at
     for name, value, told in (
         ("aim", 0.5, "Double value is: 0.5"),
         ("label", "a", "String value is: a"),
@@ -194,8 +199,22 @@ def test_parameters_are_listed_read_dumped_and_refused(robot: Robot, here: Run) 
         assert text in refused.err
 
 
-@pytest.mark.usefixtures("robot")
-def test_what_is_not_there_is_one_sentence(here: Run) -> None:
+def test_a_node_that_does_not_answer_keeps_no_other_from_being_listed(
+    robot: Robot, here: Run
+) -> None:
+    async def never(request: Any) -> None:
+        await anyio.sleep_forever()
+
+    frozen = "/a/list_parameters", "rcl_interfaces/srv/ListParameters"
+    with robot.do(partial(robot.node.serve_service, *frozen, never)):
+        told = here("param", "list", "--timeout", "1", *robot.at)
+    assert told.out.startswith("/robot:\n")
+    assert "  use_sim_time\n" in told.out
+    assert told.err == "Error: no answer in 1 s from /a\n"
+    assert told.code == 6
+
+
+def test_what_is_not_there_is_one_sentence(robot: Robot, here: Run) -> None:
     for given, text in (
         (("topic", "echo", "/nothing", *QUICK), "no node has had the topic /nothing in 0.1 s"),
         (("topic", "pub", "/x", STRING, "data: a", "--once", *QUICK), "nobody has subscribed"),
@@ -206,7 +225,7 @@ def test_what_is_not_there_is_one_sentence(here: Run) -> None:
         (("topic", "info", "/nothing", *QUICK), "no node has had the topic /nothing in 0.1 s"),
         (("service", "call", "/nothing", BOOL, *QUICK), "there is no server in 0.1 s"),
     ):
-        told = here(*given, "-u", "dds://")
+        told = here(*given, *robot.at)
         assert told.out == ""
         assert text in told.err
         assert told.err.count("\n") == 1

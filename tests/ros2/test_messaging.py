@@ -6,13 +6,14 @@ from queue import Queue
 from typing import Any
 
 import anyio
+import msgspec
 import pytest
 from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import LivelinessPolicy, QoSProfile, qos_profile_sensor_data
 from std_msgs.msg import Float32MultiArray, String
 
 from fibaction import ConnectionLost, TransportError
@@ -196,6 +197,7 @@ async def test_a_quality_of_service_that_is_wrong_or_does_not_match_is_told(sche
             ("keep_all,transient_local", "would keep every message"),
             (EndQos(reliability="keep_all"), "'keep_all' is no reliability"),
             (EndQos(depth=0), "depth must be at least 1"),
+            (EndQos(liveliness="manual"), "'manual' is no liveliness"),
         ):
             with pytest.raises(ValueError, match=problem):
                 node.publisher("map", STRING, qos=qos)
@@ -218,6 +220,31 @@ async def test_a_quality_of_service_that_is_wrong_or_does_not_match_is_told(sche
         )
         await until(lambda: node._ros.publishers(lasting.topic_name))
         assert node._ros.publishers(lasting.topic_name)[0].qos.lifespan == 10
+        due = EndQos(deadline=0.5, liveliness="manual_by_topic", lease=2, lifespan=30)
+        promised = node.publisher("promised", STRING, qos=due)
+        wanted = QoSProfile(
+            depth=1,
+            deadline=Duration(seconds=0.1),
+            liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+            liveliness_lease_duration=Duration(seconds=1),
+        )
+        stock.create_subscription(
+            String, promised.topic, heard.append, wanted, event_callbacks=quiet
+        )
+        text = (
+            "this publisher offers a deadline of 0.5 s, a lease of 2 s, and .*stock wants"
+            " a deadline of 0.1 s, a lease of 1 s"
+        )
+        await until(lambda: any(end.node for end in node._ros.subscriptions(promised.topic)))
+        with pytest.raises(TimeoutError, match=text):
+            await promised.wait_for_reader(0.1)
+        (own,) = node._ros.publishers(promised.topic)
+        assert msgspec.structs.replace(own.qos, depth=10) == due
+        fitting = QoSProfile(
+            depth=1, deadline=Duration(seconds=1), liveliness=LivelinessPolicy.MANUAL_BY_TOPIC
+        )
+        stock.create_subscription(String, promised.topic, heard.append, fitting)
+        await promised.wait_for_reader(PATIENCE)
 
 
 async def test_services_are_found_with_their_types(scheme: str) -> None:
@@ -230,6 +257,11 @@ async def test_services_are_found_with_their_types(scheme: str) -> None:
 
 def trusting(value: object) -> None:
     raise RuntimeError("cut")
+
+
+def not_long(value: list[str]) -> None:
+    if len(value) > 1:
+        raise ValueError("too many")
 
 
 async def test_values_of_parameters_have_their_types(scheme: str) -> None:
@@ -251,6 +283,12 @@ async def test_values_of_parameters_have_their_types(scheme: str) -> None:
             own.declare("frame", "base", low=1)
         with pytest.raises((TypeError, ValueError)):
             own.declare("unset", None)
+        assert own.declare("names", [], is_read_only=True, check=not_long) == []
+        assert own.declare("words", []) == []
+        with pytest.raises(ValueError, match=r"\w"):
+            await own.set({"names": ["a"]})
+        await own.set({"words": ["a"]})
+        assert own["words"] == ["a"]
         others = node.parameters(node.name, timeout=PATIENCE)
         assert await others.get("nothing", "flags") in (
             {"nothing": None, "flags": [True]},

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Final
 
+import anyio
 import click
 
 from fibaction.cli.arguments.goal_input import read_yaml
@@ -11,7 +13,7 @@ from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import printable
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
-from fibaction.cli.process.exit_codes import Failure
+from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.process.ros_nodes import (
     all_option,
     run_at,
@@ -21,6 +23,7 @@ from fibaction.cli.process.ros_nodes import (
     types_option,
 )
 from fibaction.types.ros_messages import plain_value
+from fibaction.words.errors import ConnectionLost
 from fibaction.words.plain_data import is_list
 
 
@@ -97,14 +100,32 @@ def list_parameters(node_name: str | None, timeout: float, url: str) -> None:
     """List the parameters of NODE, or of all nodes."""
 
     async def act(node: Any) -> None:
-        names = [node_name] if node_name else sorted(await settled(node, _nodes) - {node.name})
-        for one in names:
-            if not node_name:
+        if node_name:
+            return _say_parameters(await node.parameters(node_name, timeout=timeout).list())
+        found: dict[str, list[str] | None] = {}
+
+        async def ask(one: str) -> None:
+            try:
+                found[one] = await node.parameters(one, timeout=timeout).list()
+            except (TimeoutError, ConnectionLost):
+                found[one] = None
+
+        async with anyio.create_task_group() as tasks:
+            for one in await settled(node, _nodes) - {node.name}:
+                tasks.start_soon(ask, one)
+        for one, names in sorted(found.items()):
+            if names is not None:
                 say(printable(f"{one}:"))
-            for name in sorted(await node.parameters(one, timeout=timeout).list()):
-                say(printable(f"  {name}"))
+                _say_parameters(names)
+        if silent := ", ".join(sorted(one for one, names in found.items() if names is None)):
+            raise Failure(f"no answer in {timeout:g} s from {silent}", ExitCode.UNREACHABLE)
 
     run_at(url, act)
+
+
+def _say_parameters(names: Iterable[str]) -> None:
+    for name in sorted(names):
+        say(printable(f"  {name}"))
 
 
 def _nodes(view: Any) -> set[str]:

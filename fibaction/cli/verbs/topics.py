@@ -112,6 +112,8 @@ def _described(end: Any, kind: str, type_name: str) -> str:
         "  History (Depth)": f"{end.qos.history.upper()}{depth}",
         "  Durability": end.qos.durability.upper(),
         "  Lifespan": _seconds(end.qos.lifespan),
+        "  Deadline": _seconds(end.qos.deadline),
+        "  Liveliness": end.qos.liveliness.upper(),
         "  Liveliness lease duration": _seconds(end.qos.lease),
     }
     return "\n".join(printable(f"{name}: {value}".rstrip()) for name, value in lines.items())

@@ -63,6 +63,9 @@ def test_the_tokens_of_a_server_of_rclpy_are_read() -> None:
     assert goals.type_hash.startswith("RIHS01_d8076338")
     assert goals.qos == EndQos(depth=10)
     assert statuses.qos == EndQos(durability="transient_local", depth=1)
+    log = read_token(ROSOUT)
+    assert log is not None
+    assert log.qos == EndQos(durability="transient_local", depth=1000, lifespan=10)
     assert statuses.key == STATUS_KEY
     assert statuses.gid[PARTICIPANT] == goals.gid[PARTICIPANT]
     assert statuses.gid != goals.gid
@@ -98,7 +101,13 @@ def test_our_tokens_and_words_are_those_of_rclpy() -> None:
 
 def test_a_name_in_a_namespace_keeps_its_slashes_and_a_weak_qos_is_told() -> None:
     made = NodeTokens(0, SESSION, count(), "/robot/left", "arm")
-    weak = EndQos(reliability="best_effort", depth=5)
+    weak = EndQos(
+        reliability="best_effort",
+        depth=5,
+        deadline=0.25,
+        lifespan=3,
+        liveliness="manual_by_topic",
+    )
     found = read_token(made.end(SUBSCRIPTION, "/robot/left/a", "a_msgs/msg/A", ANY_HASH, weak))
     assert found is not None
     assert (found.node, found.topic, found.qos) == ("/robot/left/arm", "/robot/left/a", weak)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -44,6 +45,11 @@ class EndQos(Struct, frozen=True, kw_only=True):
     """`keep_last`, or `keep_all` for back-pressure: a reliable publisher waits for its readers."""
     depth: int = 10
     """The newest messages that are kept; with `keep_all`, those that wait before others wait."""
+    deadline: float = math.inf
+    """Seconds between two messages at most, as a publisher promises; infinity for none. It is
+    matched, and not watched."""
+    liveliness: str = "automatic"
+    """The signs of life: `automatic`, or `manual_by_topic`, by each message."""
     lease: float = math.inf
     """Seconds within which a publisher gives a sign of life; infinity for none."""
     lifespan: float = math.inf
@@ -72,12 +78,17 @@ def policies(text: str, known: Mapping[str, str] = _POLICIES) -> dict[str, str]:
     return found
 
 
-_LEVELS = {
+_WORD_LEVELS = {
     "reliability": ("best_effort", "reliable"),
     "durability": ("volatile", "transient_local"),
 }
-"""The levels of each policy. An end that offers the first does not match one that wants the second.
+_LEVELS = _WORD_LEVELS | {"liveliness": ("automatic", "manual_by_participant", "manual_by_topic")}
+"""The levels of each policy. An end that offers a lower one does not match one that wants a higher.
 """
+_DURATIONS = ("deadline", "lease", "lifespan")
+_MATCHED_DURATIONS = ("deadline", "lease")
+_ROUNDING = 1e-6
+"""Seconds by which the same duration may differ on the wire."""
 _PROFILES = {
     "": EndQos(),
     "default": EndQos(),
@@ -92,11 +103,30 @@ _PROFILES = {
 
 def unmet(offered: EndQos, wanted: EndQos) -> list[str]:
     """Return the policies of a publisher that are less than its subscription wants."""
-    return [
+    found = [
         policy
         for policy, levels in _LEVELS.items()
-        if (getattr(offered, policy), getattr(wanted, policy)) == levels
+        if getattr(wanted, policy) in levels[1:]
+        and getattr(offered, policy) in levels[: levels.index(getattr(wanted, policy))]
     ]
+    return found + [
+        policy
+        for policy in _MATCHED_DURATIONS
+        if getattr(offered, policy) > getattr(wanted, policy) + _ROUNDING
+    ]
+
+
+def has_words(policy: str) -> bool:
+    """Return whether a policy can be given by a word, as in `qos="best_effort"`."""
+    return policy in _WORD_LEVELS
+
+
+def word(qos: EndQos, policy: str) -> str:
+    """Return a policy as errors tell it."""
+    value: Any = getattr(qos, policy)
+    if policy in _DURATIONS:
+        return f"a {policy} of {value:g} s" if value < math.inf else f"no {policy}"
+    return str(value) if has_words(policy) else f"{policy} {value}"
 
 
 def difference(offered: EndQos, wanted: EndQos) -> tuple[str, str] | None:
@@ -105,9 +135,17 @@ def difference(offered: EndQos, wanted: EndQos) -> tuple[str, str] | None:
     if not policies:
         return None
     return (
-        ", ".join(getattr(offered, policy) for policy in policies),
-        ", ".join(getattr(wanted, policy) for policy in policies),
+        ", ".join(word(offered, policy) for policy in policies),
+        ", ".join(word(wanted, policy) for policy in policies),
     )
+
+
+def advice(offered: EndQos, wanted: EndQos) -> str:
+    """Return the argument with which a subscription gets what a publisher offers."""
+    policies = unmet(offered, wanted)
+    if all(map(has_words, policies)):
+        return f"qos={','.join(getattr(offered, policy) for policy in policies)!r}"
+    return "an EndQos that wants no more"
 
 
 def of_topic(given: object, depth: int | None = None) -> EndQos:
@@ -133,9 +171,13 @@ def of_topic(given: object, depth: int | None = None) -> EndQos:
     if depth is not None:
         found = replace(found, depth=depth)
     for policy in ("reliability", "durability", "history"):
-        word = getattr(found, policy)
-        if _TOPIC_POLICIES.get(word) != policy:
-            raise ValueError(f"qos: {word!r} is no {policy}")
+        if _TOPIC_POLICIES.get(getattr(found, policy)) != policy:
+            raise ValueError(f"qos: {getattr(found, policy)!r} is no {policy}")
+    if found.liveliness not in ("automatic", "manual_by_topic"):
+        raise ValueError(f"qos: {found.liveliness!r} is no liveliness")
+    for policy in _DURATIONS:
+        if not getattr(found, policy) > 0:
+            raise ValueError(f"qos: {policy} must be positive, not {getattr(found, policy)!r}")
     if found.depth < 1:
         raise ValueError(f"depth must be at least 1, not {found.depth}")
     if (found.history, found.durability) == ("keep_all", "transient_local"):
@@ -152,7 +194,7 @@ def suiting(offers: Iterable[EndQos]) -> str:
     offers = [*offers]
     return ",".join(
         levels[bool(offers) and all(getattr(one, policy) == levels[1] for one in offers)]
-        for policy, levels in _LEVELS.items()
+        for policy, levels in _WORD_LEVELS.items()
     )
 
 

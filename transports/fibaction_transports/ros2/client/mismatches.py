@@ -1,8 +1,7 @@
 """The explanations why a server that is in the graph cannot be reached or used: its quality of
 service, and other versions of its types.
 
-The former names reliability and durability, the two that an action of ROS may have otherwise. All
-policies of DDS are compared in `rtps.qos`.
+The former names the policies of ROS. All policies of DDS are compared in `rtps.qos`.
 """
 
 from __future__ import annotations
@@ -33,25 +32,26 @@ def explain_mismatch(ros: RosNode, full: ActionNames, settings: RosSettings) -> 
     """Return a sentence that says which parts of a server do not match, and what to do; empty if
     there is no server, or if all of it matches.
     """
+    if not ros.matches_by_qos:
+        return ""
     wrong: dict[str, None] = {}
     advice: dict[str, dict[str, str]] = {}
     for way in _ways(ros, full, settings):
         for server in way.servers:
             pair = (way.ours, server.qos) if way.is_to_server else (server.qos, way.ours)
             for policy in qos.unmet(*pair):
-                theirs, ours = _word(server.qos, policy), _word(way.ours, policy)
+                theirs, ours = qos.word(server.qos, policy), qos.word(way.ours, policy)
                 verbs = ("wants", "offers") if way.is_to_server else ("offers", "wants")
                 wrong[f"{way.part}: it {verbs[0]} {theirs}, and this client {verbs[1]} {ours}"] = (
                     None
                 )
-                advice.setdefault(way.setting, {})[policy] = theirs
+                if qos.has_words(policy):
+                    advice.setdefault(way.setting, {})[policy] = theirs
     if not wrong:
         return ""
     words = ", ".join(f"{name}={','.join(of.values())!r}" for name, of in advice.items())
-    return (
-        f"there is a server, and its QoS does not match: {'; '.join(wrong)}; connect with {words},"
-        " or change the server"
-    )
+    remedy = f"connect with {words}, or change the server" if words else "change the server"
+    return f"there is a server, and its QoS does not match: {'; '.join(wrong)}; {remedy}"
 
 
 def _ways(ros: RosNode, full: ActionNames, settings: RosSettings) -> Iterator[_Way]:
@@ -65,11 +65,6 @@ def _ways(ros: RosNode, full: ActionNames, settings: RosSettings) -> Iterator[_W
         readers, writers = ros.request_readers(name), ros.answer_writers(name)
         yield _Way("services_qos", part, readers, services, is_to_server=True)
         yield _Way("services_qos", part, writers, services)
-
-
-def _word(end: EndQos, policy: str) -> str:
-    word: str = getattr(end, policy)
-    return word
 
 
 _SHOWN = len("RIHS01_") + 8

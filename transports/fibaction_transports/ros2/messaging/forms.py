@@ -21,9 +21,10 @@ def type_name_of(given: str | type[Any]) -> str:
     """Return the name of a type of ROS, which is given by this name or by a class made from it.
 
     Raises:
-        TypeError: It is another class.
+        TypeError: It is something else.
     """
-    name = given if isinstance(given, str) else ros_type_of(given)
+    is_class = isinstance(given, type)
+    name = given if isinstance(given, str) else ros_type_of(given) if is_class else ""
     if not name:
         raise TypeError(
             f"{given!r} is not made from a type of ROS: give the type by its name, such as"

@@ -18,6 +18,7 @@ from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.endpoint import GraphLooks
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
+from fibaction_transports.ros2.messaging.newest import NewestMessages
 from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import Publisher
 from fibaction_transports.ros2.messaging.services import (
@@ -59,7 +60,7 @@ class Node(RosTransport):
         self._ros = ros
         self._transforms: TransformReader | None = None
         self._looks = GraphLooks(ros, settings.discovery_timeout)
-        self._newest: dict[tuple[str, ...], Subscription[Any]] = {}
+        self._newest = NewestMessages(self.subscribe, tasks)
         self._callers: dict[tuple[str, str | Service[Any, Any]], CalledService] = {}
         self._tasks = tasks
 
@@ -134,22 +135,44 @@ class Node(RosTransport):
             return await self._ros.until(lambda: self.topics().get(name, ""))
         raise TimeoutError(f"no node has had the topic {name} in {timeout:g} s")
 
+    @overload
+    async def next(
+        self,
+        topic: str,
+        type_: type[T],
+        *,
+        qos: str | EndQos = "",
+        timeout: float | None = None,
+    ) -> T: ...
+    @overload
     async def next(
         self, topic: str, type_: str, *, qos: str | EndQos = "", timeout: float | None = None
+    ) -> Any: ...
+    async def next(
+        self,
+        topic: str,
+        type_: str | type[Any],
+        *,
+        qos: str | EndQos = "",
+        timeout: float | None = None,
     ) -> Any:
-        """Subscribe to a topic until its next message, and return that; see `Subscription.next`."""
-        with self.subscribe(topic, type_, qos=qos, depth=1) as messages:
-            return await messages.next(timeout)
+        """Return the next message that arrives on a topic; with `qos="transient_local"`, the newest
+        one at once that its publishers keep.
 
-    def latest(self, topic: str, type_: str, *, qos: str | EndQos = "") -> Any | None:
+        All calls share one subscription, which stays open for some seconds after the last one. The
+        errors are those of `subscribe` and of `Subscription.next`.
+        """
+        return await self._newest.next((self._ros.resolve(topic), type_, qos), timeout)
+
+    @overload
+    def latest(self, topic: str, type_: type[T], *, qos: str | EndQos = "") -> T | None: ...
+    @overload
+    def latest(self, topic: str, type_: str, *, qos: str | EndQos = "") -> Any | None: ...
+    def latest(self, topic: str, type_: str | type[Any], *, qos: str | EndQos = "") -> Any | None:
         """Return the newest message of a topic, which is read from the first call on; None if none
         has arrived yet. The errors are those of `subscribe`.
         """
-        key = self._ros.resolve(topic), type_, str(qos)
-        found = self._newest.get(key)
-        if found is None:
-            found = self._newest[key] = self.subscribe(topic, type_, qos=qos, depth=1)
-        return found.latest
+        return self._newest.latest((self._ros.resolve(topic), type_, qos))
 
     async def follow(
         self, topic: str, *, qos: str = "", depth: int = 10, timeout: float | None = None
@@ -337,7 +360,14 @@ class Node(RosTransport):
 
 
 def _service_type(given: str | Service[Any, Any]) -> str:
-    return given if isinstance(given, str) else given.type_name
+    if isinstance(given, Service):
+        return given.type_name
+    if isinstance(given, str):
+        return given
+    raise TypeError(
+        f"{given!r} is not a type of services: give it by its name, such as 'std_srvs/srv/Trigger',"
+        " or a service that `fibaction gen` has written"
+    )
 
 
 class _OpenNode(RosAdapter):

@@ -91,7 +91,7 @@ class Publisher(Closing, Generic[T]):
 
     def _mismatch(self) -> str:
         """Return the first difference of QoS that keeps a reader away, as both sides have it."""
-        for end in self._ros.subscriptions(self.topic):
+        for end in self._ros.subscriptions(self.topic) if self._ros.matches_by_qos else ():
             if told := qos.difference(self._qos, end.qos):
                 offers, wants = told
                 return f": this publisher offers {offers}, and {end.node or 'a node'} wants {wants}"

@@ -103,8 +103,25 @@ class Subscription(Closing, Generic[T]):
         """
         with anyio.move_on_after(timeout):
             return await self._next()
+        raise self._missed(timeout)
+
+    async def upcoming(self, timeout: float | None = None) -> T:
+        """Wait for a message that arrives from now on, whatever others read; at once, if the topic
+        keeps messages for late readers, for the newest one. The errors are those of `next`.
+        """
+        with anyio.move_on_after(timeout):
+            is_kept = self._qos.durability == "transient_local"
+            before = None if is_kept else self._newest
+            while True:
+                if self._newest is not before and (value := self.latest) is not None:
+                    return value
+                self._raise_if_over()
+                await self._wait()
+        raise self._missed(timeout)
+
+    def _missed(self, timeout: float | None) -> TimeoutError:
         reason = self._explanation() or f"connected publishers: {self._part.publisher_count()}"
-        raise TimeoutError(f"nothing arrived on {self.topic} in {timeout:g} s: {reason}")
+        return TimeoutError(f"nothing arrived on {self.topic} in {timeout:g} s: {reason}")
 
     async def _next(self) -> T:
         while True:
@@ -114,10 +131,13 @@ class Subscription(Closing, Generic[T]):
                 if (value := self._read(self._queue.popleft())) is not None:
                     return value
                 continue
-            if self._is_closed:
-                raise anyio.ClosedResourceError
-            self._ros.raise_if_lost()
+            self._raise_if_over()
             await self._wait()
+
+    def _raise_if_over(self) -> None:
+        if self._is_closed:
+            raise anyio.ClosedResourceError
+        self._ros.raise_if_lost()
 
     async def _wait(self) -> None:
         if self._newest is None and not self._is_explained:
@@ -147,12 +167,12 @@ class Subscription(Closing, Generic[T]):
         ends = self._ros.publishers(self.topic)
         if not ends:
             return "no node publishes it"
-        for end in ends:
+        for end in ends if self._ros.matches_by_qos else ():
             if told := qos.difference(end.qos, self._qos):
                 offers, wants = told
                 return (
                     f"{end.node or 'a node'} offers {offers}, and this subscription wants {wants}:"
-                    f" subscribe with qos={offers.replace(' ', '')!r}"
+                    f" subscribe with {qos.advice(end.qos, self._qos)}"
                 )
         version = self._ros.types.version(self._type)
         theirs = {end.type_hash for end in ends}

@@ -38,6 +38,12 @@ _INTEGERS: Final = (-(2**63), 2**63 - 1)
 _DOUBLES: Final = (-sys.float_info.max, sys.float_info.max)
 
 
+def kind_of(number: int) -> str:
+    """Return the type of a number with its article, for errors: `an integer`."""
+    kind = KINDS[number]
+    return f"{'an' if kind.startswith('i') else 'a'} {kind}"
+
+
 def value_of(value: Any) -> ParameterValue:
     """Return the value in an `rcl_interfaces/msg/ParameterValue`."""
     if not 0 < value.type < len(KINDS):
@@ -100,7 +106,7 @@ class DeclaredParameter(Struct, frozen=True, kw_only=True):
         """Return the reason why a value is refused; empty if it is not."""
         number = number_of(self.default)
         if number_of(value) != number and not (value == [] and number > ARRAY):
-            return f"{self.name!r} is a {KINDS[number]}"
+            return f"{self.name!r} is {kind_of(number)}"
         numbers: Any = value if isinstance(value, list) else [value]
         low, high = self.bounds or (0, 0)
         if self.bounds and not all(low <= one <= high for one in numbers):

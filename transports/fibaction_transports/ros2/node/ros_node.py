@@ -251,6 +251,8 @@ class RosNode(NodeLife, RosGraph):
     """The namespace, for example `/robot`; `/` without one."""
     tells_signs: bool
     """True if a `LifeWatch` tells of each sign of life, so that a server without any is silent."""
+    matches_by_qos: bool = True
+    """False if ends hear each other whatever their quality of service is, as over Zenoh."""
     confirms_callers: bool = True
     """True if an available server is known to have found its client, to which it will answer."""
 

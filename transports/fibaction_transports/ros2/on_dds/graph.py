@@ -43,7 +43,7 @@ from fibaction_transports.rtps.events import Event, ParticipantLost, SampleRecei
 from fibaction_transports.rtps.messages.ids import PREFIX_SIZE, READER_KINDS, WRITER_KINDS, Guid
 from fibaction_transports.rtps.network import ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import DomainSettings
-from fibaction_transports.rtps.qos import Durability, Qos, Reliability
+from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
 
 MOST_ENTITIES = 4_096
 """Endpoints that a participant may name as those of its nodes; a message with more is ignored."""
@@ -54,6 +54,11 @@ which there is one in each 0.1 s, at once."""
 ENDPOINTS_PATIENCE = 4.0
 """Seconds for which the endpoints of a new participant are waited for."""
 
+_KINDS = {
+    "automatic": Liveliness.AUTOMATIC,
+    "manual_by_participant": Liveliness.BY_PARTICIPANT,
+    "manual_by_topic": Liveliness.BY_TOPIC,
+}
 _KEPT = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
 
 logger = clean_logger("fibaction.ros2")
@@ -65,7 +70,9 @@ def dds_qos(qos: EndQos) -> Qos:
         reliability=Reliability[qos.reliability.upper()],
         durability=Durability[qos.durability.upper()],
         depth=None if qos.history == "keep_all" else qos.depth,
+        deadline=qos.deadline,
         lifespan=qos.lifespan,
+        liveliness=_KINDS[qos.liveliness],
         liveliness_lease=qos.lease,
     )
 
@@ -76,6 +83,8 @@ def _end_qos(qos: Qos) -> EndQos:
         durability="transient_local" if qos.is_transient_local else "volatile",
         history="keep_last" if qos.depth else "keep_all",
         depth=qos.depth or 0,
+        deadline=qos.deadline,
+        liveliness=next(word for word, kind in _KINDS.items() if kind == qos.liveliness),
         lease=qos.liveliness_lease,
         lifespan=qos.lifespan,
     )

@@ -139,17 +139,21 @@ def profile_of(qos: EndQos) -> Any:
         history=rclpy_qos.HistoryPolicy[qos.history.upper()],
         depth=qos.depth,
     )
-    if not math.isinf(qos.lease):
-        profile.liveliness = rclpy_qos.LivelinessPolicy.AUTOMATIC
-        profile.liveliness_lease_duration = Duration(seconds=qos.lease)
+    if not math.isinf(qos.lease) or qos.liveliness != "automatic":
+        profile.liveliness = rclpy_qos.LivelinessPolicy[qos.liveliness.upper()]
+    for name, seconds in (
+        ("deadline", qos.deadline),
+        ("lifespan", qos.lifespan),
+        ("liveliness_lease_duration", qos.lease),
+    ):
+        if not math.isinf(seconds):
+            setattr(profile, name, Duration(seconds=seconds))
     return profile
 
 
 def end_info(end: Any) -> EndInfo:
     """Return what the graph tells of an end."""
     profile = end.qos_profile
-    lease = profile.liveliness_lease_duration.nanoseconds
-    lifespan = profile.lifespan.nanoseconds
     return EndInfo(
         bytes(end.endpoint_gid),
         _full_name(end.node_namespace, end.node_name),
@@ -158,10 +162,17 @@ def end_info(end: Any) -> EndInfo:
             durability=profile.durability.name.lower(),
             history="keep_all" if profile.history.name == "KEEP_ALL" else "keep_last",
             depth=profile.depth,
-            lease=lease / _BILLION if lease < _INFINITE else math.inf,
-            lifespan=lifespan / _BILLION if lifespan < _INFINITE else math.inf,
+            deadline=_seconds(profile.deadline),
+            liveliness=profile.liveliness.name.lower(),
+            lease=_seconds(profile.liveliness_lease_duration),
+            lifespan=_seconds(profile.lifespan),
         ),
     )
+
+
+def _seconds(duration: Any) -> float:
+    nanoseconds: int = duration.nanoseconds
+    return nanoseconds / _BILLION if 0 < nanoseconds < _INFINITE else math.inf
 
 
 def _full_name(namespace: str, name: str) -> str:

@@ -123,6 +123,7 @@ class RclpyNode(RosNode):
         self.full_name: str = node.get_fully_qualified_name()
         self.namespace: str = node.get_namespace()
         self.tells_signs = middleware() in SURE
+        self.matches_by_qos = middleware() != "rmw_zenoh_cpp"
         self._logger = node.get_logger()
         self._mailbox = Mailbox(self.wake)
         self.parameters = RclpyParameters(

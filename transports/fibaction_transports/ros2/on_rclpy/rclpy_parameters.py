@@ -50,7 +50,10 @@ class RclpyParameters(ParameterStore):
         known = self._declared.get(name)
         self._declared[name], self._begun = parameter, name
         try:
-            self._node.declare_parameter(name, _in_ros(parameter.default), descriptor)
+            if parameter.default == []:
+                self._declare_empty(name, descriptor)
+            else:
+                self._node.declare_parameter(name, _in_ros(parameter.default), descriptor)
         except Exception as exc:
             self._declared.pop(name)
             if known is not None:
@@ -58,6 +61,15 @@ class RclpyParameters(ParameterStore):
             raise ValueError(text_of(exc).partition(": ")[2]) from exc
         finally:
             self._begun = ""
+
+    def _declare_empty(self, name: str, descriptor: Any) -> None:
+        """Declare a list of strings; rclpy would take an empty list for bytes."""
+        strings = ros_parameters.Parameter.Type.STRING_ARRAY
+        given = self._node.declare_parameter(name, strings)
+        if given.type_ != strings:  # the arguments of the node do not have it
+            self._node.set_parameters([ros_parameters.Parameter(name, strings, [])])
+        descriptor.type = strings.value
+        self._node.set_descriptor(name, descriptor)
 
     def names(self) -> Sequence[str]:
         return [str(one) for one in self._node.list_parameters([], 0).names]
@@ -86,7 +98,8 @@ class RclpyParameters(ParameterStore):
     def _checked(self, parameters: Any) -> Any:
         for one in parameters:
             declared = self._declared.get(one.name)
-            problem = declared and declared.checked(value_of(one.get_parameter_value()))
+            value = value_of(one.get_parameter_value())
+            problem = declared and value is not None and declared.checked(value)
             if problem:
                 return ros_messages.SetParametersResult(successful=False, reason=problem)
         return ros_messages.SetParametersResult(successful=True)

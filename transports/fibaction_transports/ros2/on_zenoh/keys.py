@@ -9,6 +9,8 @@ graph of ROS is made of them: https://github.com/ros2/rmw_zenoh/blob/rolling/doc
 
 from __future__ import annotations
 
+import math
+import re
 import struct
 import time
 from collections.abc import Iterator
@@ -40,6 +42,10 @@ _DEFAULT_DEPTH = 42
 _NODE_PARTS, _END_PARTS = 9, 13
 _RELIABILITIES = {"1": "reliable", "2": "best_effort"}
 _DURABILITIES = {"1": "transient_local", "2": "volatile"}
+_NUMBER = re.compile(r"[0-9]{0,19}")
+_BILLION = 10**9
+_INFINITE = 2**63 - 1
+"""The nanoseconds of an infinite duration."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 _GID_SIZE = 16
 MOST_CHARACTERS: Final = 4_096
@@ -179,14 +185,23 @@ def _qos_text(qos: EndQos) -> str:
     reliability = "" if qos.reliability == "reliable" else "2"
     durability = "" if qos.durability == "volatile" else "1"
     history = "" if qos.history == "keep_last" else "2"
-    return f"{reliability}:{durability}:{history},{qos.depth}:,:,:,,"
+    times = f"{_duration_text(qos.deadline)}:{_duration_text(qos.lifespan)}"
+    liveliness = "" if qos.liveliness == "automatic" else "3"
+    return f"{reliability}:{durability}:{history},{qos.depth}:{times}:{liveliness},,"
+
+
+def _duration_text(seconds: float) -> str:
+    if math.isinf(seconds):
+        return ","
+    return ",".join(map(str, divmod(round(seconds * _BILLION), _BILLION)))
 
 
 def _read_qos(words: str) -> EndQos | None:
     reliability, *rest = words.split(":")
     if len(rest) < 2:
         return None
-    durability, history = rest[:2]
+    durability, history, deadline, lifespan, liveliness = [*rest, "", "", ""][:5]
+    kind, _, lease = liveliness.partition(",")
     history, _, depth = history.partition(",")
     depth = depth or str(_DEFAULT_DEPTH)
     if not (depth.isascii() and depth.isdecimal() and len(depth) < 20):
@@ -196,7 +211,20 @@ def _read_qos(words: str) -> EndQos | None:
         durability=_DURABILITIES.get(durability, "volatile"),
         history="keep_all" if history == "2" else "keep_last",
         depth=int(depth),
+        deadline=_read_duration(deadline),
+        liveliness="manual_by_topic" if kind == "3" else "automatic",
+        lease=_read_duration(lease),
+        lifespan=_read_duration(lifespan),
     )
+
+
+def _read_duration(words: str) -> float:
+    """Return a duration in seconds; infinity if it is the default, or is none."""
+    seconds, _, nanoseconds = words.partition(",")
+    if not all(_NUMBER.fullmatch(one) for one in (seconds, nanoseconds)):
+        return math.inf
+    found = int(seconds or 0) * _BILLION + int(nanoseconds or 0)
+    return found / _BILLION if 0 < found < _INFINITE else math.inf
 
 
 class OwnEnd(NamedTuple):

@@ -73,6 +73,7 @@ class ZenohNode(OwnNode):
     """A node over Zenoh."""
 
     tells_signs = False
+    matches_by_qos = False
     scheme = "zenoh"
 
     def __init__(

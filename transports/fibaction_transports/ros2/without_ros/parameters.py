@@ -17,6 +17,7 @@ from fibaction_transports.ros2.node.own_parameters import (
     KINDS,
     DeclaredParameter,
     ParameterStore,
+    kind_of,
     number_of,
     value_of,
     written,
@@ -205,7 +206,7 @@ def _value_in(given: Override, number: int) -> Value:
             return [_scalar(one, number - ARRAY) for one in content]
     except (ValueError, TypeError, KeyError):
         pass
-    expected = "true or false" if KINDS[number] == "bool" else f"a {KINDS[number]}"
+    expected = "true or false" if KINDS[number] == "bool" else kind_of(number)
     raise ValueError(f"{given.origin}: expected {expected}")
 
 
