@@ -59,6 +59,7 @@ _KINDS = {
     "manual_by_participant": Liveliness.BY_PARTICIPANT,
     "manual_by_topic": Liveliness.BY_TOPIC,
 }
+_WORDS = {kind: word for word, kind in _KINDS.items()}
 _KEPT = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
 
 logger = clean_logger("fibaction.ros2")
@@ -84,7 +85,7 @@ def _end_qos(qos: Qos) -> EndQos:
         history="keep_last" if qos.depth else "keep_all",
         depth=qos.depth or 0,
         deadline=qos.deadline,
-        liveliness=next(word for word, kind in _KINDS.items() if kind == qos.liveliness),
+        liveliness=_WORDS[qos.liveliness],
         lease=qos.liveliness_lease,
         lifespan=qos.lifespan,
     )
