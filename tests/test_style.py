@@ -142,6 +142,7 @@ CLEAN_LOGS = (
     "fibaction/_runtime/log.py",
     "fibaction/cli/process/logs.py",
     "fibaction/cli/verbs/top.py",
+    "fibaction/server/log_keeper.py",
 )
 """The modules that set up logs, and so may use any logger."""
 

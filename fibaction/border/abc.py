@@ -24,6 +24,7 @@ from fibaction.border.endpoints import (
     Endpoint,
     ForwardingEndpoint,
     GoalRequest,
+    LogLine,
     Startable,
     cancel_each,
 )
@@ -50,6 +51,7 @@ __all__ = [
     "Intake",
     "IntakeChange",
     "IntakeMode",
+    "LogLine",
     "Meta",
     "Notifier",
     "PastPage",

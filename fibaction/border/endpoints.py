@@ -78,6 +78,19 @@ class Absence(msgspec.Struct, frozen=True):
     """The newest error."""
 
 
+class LogLine(msgspec.Struct, frozen=True):
+    """A log record of an executor."""
+
+    at: int
+    """Its time: nanoseconds since 1970."""
+    level: str
+    """The name of its level, such as `WARNING`."""
+    logger: str
+    """The name of its logger."""
+    text: str
+    """Its message, with the end of its traceback."""
+
+
 class Endpoint(ABC):
     """An action server as its clients see it, in this process or behind a transport."""
 
@@ -241,6 +254,15 @@ class Endpoint(ABC):
             " server, or the way to it, does not take that request"
         )
 
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        """Return the newest log records of a goal's executor, the oldest first; None if the server
+        keeps none (`log_lines` of its settings), or its transport does not tell them.
+
+        Raises:
+            TransportError, ProtocolError: As for `feedback`.
+        """
+        return None
+
     @abstractmethod
     async def wait_for_server(self) -> None:
         """Wait until this action is served, without a timeout.
@@ -372,6 +394,9 @@ class ForwardingEndpoint(Endpoint):
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         return await self.inner.rerun(goal_id)
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return await self.inner.log_lines(goal_id)
 
     async def wait_for_server(self) -> None:
         await self.inner.wait_for_server()

@@ -43,6 +43,7 @@ from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.intake import Capacity, Levers
+from fibaction.server.log_keeper import LogKeeper
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
@@ -94,6 +95,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             window=settings.feedback_window,
             latest=settings.feedback == "latest",
         )
+        self.log_keeper = LogKeeper(action.name, settings.log_lines)
         self.past = PastGoals(action.name, keeper, logs, registry.budget)
         self._watch = Watch(action.name, settings.watchdog)
         self.runs = runs = Runs(
@@ -127,6 +129,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         """
         self._watch.open(HomeLoop())
         stack.callback(self._watch.close)
+        stack.enter_context(self.log_keeper.open())
         tasks = await stack.enter_async_context(Background())
         tasks.start_soon(self.logs.forget_expired, name=f"expiry of {self._name}")
         events = KeeperEvents(

@@ -26,7 +26,7 @@ from anyio import CancelScope, create_task_group
 
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
-from fibaction.border.abc import Endpoint, GoalRequest
+from fibaction.border.abc import Endpoint, GoalRequest, LogLine
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import check_settings
 from fibaction.border.watchers import Watcher
@@ -366,6 +366,11 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         """See `Endpoint.rerun`."""
         self._check_running()
         return await self._parts.past.rerun(goal_id)
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        """See `Endpoint.log_lines`."""
+        self._check_running()
+        return self._parts.log_keeper.of(goal_id)
 
     def _check_running(self) -> None:
         if self._phase in ("running", "stopping"):

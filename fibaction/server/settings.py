@@ -42,7 +42,9 @@ NOT_NEGATIVE = (
     "max_bytes",
     "shutdown_timeout",
     "watchdog",
+    "log_lines",
 )
+MOST_LOG_LINES = 1000
 
 
 class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
@@ -67,6 +69,7 @@ class ActionServerKeywords(TypedDict, Generic[GoalT], total=False):
     unreadable: Literal["refuse", "abort"]
     at_stop: Literal["abort", "keep"]
     watchdog: float
+    log_lines: int
     watchers: Iterable[Watcher]
 
 
@@ -138,6 +141,10 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
     """Seconds that an executor may block the event loop before the log names its goal and its line
     of code; 0 is never. The time at a debugger's breakpoint counts, and so may the time for which
     the computer sleeps or is too busy."""
+    log_lines: int = 0
+    """The newest log records of each goal's executor that are kept for clients with the permission
+    `OBSERVE`, at most 1000 of a goal; 0 for none. They are those that your loggers let pass, of the
+    1000 goals that have logged last, and are not in a store."""
     watchers: Iterable[Watcher] = ()
     """Objects that see everything that happens to goals: metrics, recordings and others."""
 
@@ -160,6 +167,8 @@ class ActionServerSettings(msgspec.Struct, Generic[GoalT], frozen=True, kw_only=
                 if not value >= least:
                     bound = "0 or more" if not least else "at least 1"
                     raise ValueError(f"{name} must be {bound}, not {value}")
+        if self.log_lines > MOST_LOG_LINES:
+            raise ValueError(f"log_lines must be at most {MOST_LOG_LINES}, not {self.log_lines}")
         if not (self.recovery in ("abort", "rerun") or callable(self.recovery)):
             raise ValueError(
                 f"recovery must be 'abort', 'rerun' or a function, not {self.recovery!r}"

@@ -320,7 +320,7 @@ def test_everything_that_the_author_of_a_transport_reads_has_a_docstring() -> No
     interfaces = [
         value for name, value in vars(abc).items() if inspect.isclass(value) and name in abc.__all__
     ]
-    assert len(interfaces) == 17
+    assert len(interfaces) == 18
     for interface in interfaces:
         assert inspect.getdoc(interface)
         for name, member in vars(interface).items():
@@ -480,3 +480,16 @@ async def test_a_wrapper_with_a_history_of_its_own_has_it_read_as_a_whole() -> N
 
 def test_a_transport_serves_actions_under_their_own_names() -> None:
     assert InProcessTransport().served_as("fibonacci") == "fibonacci"
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_has_no_log_lines_unless_it_says_so_as_a_wrapper_of_one() -> None:
+    line = abc.LogLine(1, "INFO", "arm", "grips")
+
+    class Logging(OneGoal):
+        async def log_lines(self, goal_id: GoalID) -> list[abc.LogLine] | None:
+            return [line]
+
+    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
+    assert await inner.log_lines(KNOWN) is None
+    assert await ForwardingEndpoint(Logging(inner.stream)).log_lines(KNOWN) == [line]

@@ -8,6 +8,7 @@ feedback.
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import re
 import sys
@@ -98,6 +99,7 @@ class Cleaned(msgspec.Struct):
     percent: float
 
 
+log = logging.getLogger("arm")
 NUMBERS = itertools.count(100)
 """A default that no schema can tell."""
 MOST = 10**15
@@ -224,6 +226,7 @@ async def fail(goal: GoalHandle[Goal]) -> Items:
     """Send one feedback, then abort."""
     yield Feedback([goal.request.order])
     await anyio.sleep(0.05)
+    log.warning("joint %d does not move", goal.request.order)
     raise GoalAborted("the arm is stuck", result=Result([goal.request.order]))
 
 
@@ -294,7 +297,7 @@ def servers() -> list[ActionServer[Any, Any, Any]]:
         ActionServer(DRIVE, drive, result_timeout=600),
         ActionServer(FLOOD, flood),
         ActionServer(CLEAN, clean, schedule=Schedule(concurrency=1, queue=10)),
-        ActionServer(BREAK, fail),
+        ActionServer(BREAK, fail, log_lines=10),
         ActionServer(FETCH, fetch),
         ActionServer(LOOK, look),
         ActionServer(PATROL, patrol),

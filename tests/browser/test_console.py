@@ -94,6 +94,22 @@ def test_a_goal_that_fails_shows_its_reason(page: Page, robot: RobotProcess) -> 
         expect(row(page, goal_id)).to_contain_text(reason)
 
 
+def test_the_log_lines_of_a_goal_are_read_when_they_are_opened(
+    page: Page, robot: RobotProcess
+) -> None:
+    open_action(page, robot, "break")
+    send(page, order="3")
+    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+    goal(page).get_by_text("Log", exact=True).click()
+    lines = goal(page).get_by_label("Log lines")
+    expect(lines).to_have_text(re.compile(r"WARNING  arm: joint 3 does not move$"))
+    open_action(page, robot)
+    send(page, order="3")
+    goal(page).get_by_text("Log", exact=True).click()
+    expect(goal(page)).to_contain_text("Its server keeps no log lines")
+    expect(lines).to_be_hidden()
+
+
 def test_the_form_has_every_kind_of_field_and_sends_what_was_entered(
     page: Page, robot: RobotProcess
 ) -> None:

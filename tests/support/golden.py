@@ -8,6 +8,7 @@ from __future__ import annotations
 from fibaction.types.action import ActionInfo
 from fibaction.wire.messages import (
     Actions,
+    AskLog,
     AskPeers,
     AskPlaces,
     AwaitServer,
@@ -29,6 +30,7 @@ from fibaction.wire.messages import (
     Goodbye,
     Hello,
     ListActions,
+    Logged,
     Operate,
     Operated,
     Peers,
@@ -136,8 +138,12 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "941d0aa96669626f6e61636369c410000102030405060708090a0b0c0d0e0f",
     ),
     (
-        Welcome(1, 1.0, 65536, 15.0, 29),
-        "962001cb3ff0000000000000ce00010000cb402e0000000000001d",
+        AskLog(11, "fibonacci", GOAL_ID),
+        "941e0ba96669626f6e61636369c410000102030405060708090a0b0c0d0e0f",
+    ),
+    (
+        Welcome(1, 1.0, 65536, 15.0, 30),
+        "962001cb3ff0000000000000ce00010000cb402e0000000000001e",
     ),
     (
         Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT, {"order": "17"}),
@@ -222,5 +228,9 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
     (
         RunsAgain(10, GOAL_ID),
         "93310ac410000102030405060708090a0b0c0d0e0f",
+    ),
+    (
+        Logged(11, [(1_700_000_000_000_000_000, "INFO", "arm", "grips")]),
+        "93320b9194cf17979cfe362a0000a4494e464fa361726da56772697073",
     ),
 ]

@@ -171,6 +171,7 @@ async def test_an_endpoint_hands_everything_on() -> None:
             paused = await endpoint.change_intake(IntakeChange(IntakeMode.HOLD))
             assert paused == await endpoint.intake()
             assert await endpoint.rerun(stream.goal_id) is None
+            assert await endpoint.log_lines(stream.goal_id) is None
 
 
 async def test_a_gateway_names_the_owner_of_a_goal_and_any_other_sender_is_its_connection() -> None:

@@ -22,6 +22,7 @@ from fibaction.border.abc import (
     Endpoint,
     GoalRequest,
     GoalStream,
+    LogLine,
     Notifier,
     StatusStream,
 )
@@ -227,6 +228,9 @@ class _NamedEndpoint(Endpoint):
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         return await self._server.rerun(goal_id)
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return await self._server.log_lines(goal_id)
 
     async def wait_for_server(self) -> None:
         name, place = self._info.name, self._connection.place

@@ -39,7 +39,7 @@ from typing import Any
 import anyio
 
 from fibaction._runtime.text import shortened
-from fibaction.border.abc import Absence, Connection, Endpoint, GoalRequest
+from fibaction.border.abc import Absence, Connection, Endpoint, GoalRequest, LogLine
 from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
 from fibaction.wire.channel import Line
@@ -291,6 +291,9 @@ class RemoteEndpoint(Endpoint):
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         return await self._calls.rerun(self._info.name, goal_id)
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return await self._calls.log_lines(self._info.name, goal_id)
 
     @property
     def absence(self) -> Absence | None:

@@ -26,7 +26,7 @@ from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
 
-from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import GoalRequest, LogLine
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest, unfitting
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
@@ -36,6 +36,7 @@ from fibaction.wire.errors import error_of, sendable
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
+    AskLog,
     AskPlaces,
     AwaitServer,
     Done,
@@ -44,6 +45,7 @@ from fibaction.wire.messages import (
     Follow,
     FromClient,
     GoalChanged,
+    Logged,
     Operate,
     Operated,
     Places,
@@ -77,6 +79,8 @@ OPERATE = 28
 """The tag of `Operate`, which servers of earlier versions do not know."""
 RERUN = 29
 """The tag of `Rerun`, which servers of earlier versions do not know."""
+ASK_LOG = 30
+"""The tag of `AskLog`, which servers of earlier versions do not know."""
 
 
 class PastCall(Call):
@@ -282,6 +286,17 @@ class OpenCalls:
             lambda call_id: Rerun(call_id, action, goal_id), RunsAgain
         )
         return None if answer.new_id is None else GoalID(answer.new_id)
+
+    async def log_lines(self, action: str, goal_id: GoalID) -> list[LogLine] | None:
+        """Return the newest log records of a goal; None if the server keeps none, or is older.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        if self._newest < ASK_LOG:
+            return None
+        answer: Logged = await self.ask(lambda call_id: AskLog(call_id, action, goal_id), Logged)
+        return None if answer.lines is None else [LogLine(*line) for line in answer.lines]
 
     def _not_known(self, consequence: str) -> TransportError:
         """Return the error of a request that the server does not know."""

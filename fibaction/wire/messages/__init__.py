@@ -27,6 +27,7 @@ from fibaction.wire.messages.fields import (
     word_fields,
 )
 from fibaction.wire.messages.from_client import (
+    AskLog,
     AskPeers,
     AskPlaces,
     AwaitServer,
@@ -55,6 +56,7 @@ from fibaction.wire.messages.from_server import (
     Following,
     FromServer,
     GoalChanged,
+    Logged,
     Operated,
     Peers,
     Places,
@@ -72,6 +74,7 @@ __all__ = [
     "LONGEST_TIMEOUT",
     "VERSION",
     "Actions",
+    "AskLog",
     "AskPeers",
     "AskPlaces",
     "AwaitServer",
@@ -93,6 +96,7 @@ __all__ = [
     "Goodbye",
     "Hello",
     "ListActions",
+    "Logged",
     "Operate",
     "Operated",
     "Peers",

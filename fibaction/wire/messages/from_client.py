@@ -214,6 +214,17 @@ class Rerun(WireMessage, tag=29):
     goal_id: GoalBytes
 
 
+@final
+class AskLog(WireMessage, tag=30):
+    """Request for the newest log records of a goal's executor. Answered by `Logged` or `Failed`.
+    Sent only if `newest` of `Welcome` is 30 or more.
+    """
+
+    id: ID
+    action: str
+    goal_id: GoalBytes
+
+
 FromClient: TypeAlias = (
     Hello
     | SendGoal
@@ -229,6 +240,7 @@ FromClient: TypeAlias = (
     | AskPlaces
     | Operate
     | Rerun
+    | AskLog
     | Ping
     | Goodbye
 )

@@ -276,6 +276,16 @@ class RunsAgain(WireMessage, tag=49):
     """ID of the new goal; nil if the goal was not given up, is not kept any more, or runs again."""
 
 
+@final
+class Logged(WireMessage, tag=50):
+    """Newest log records of a goal's executor. Answers `AskLog`; the last message of that ID."""
+
+    id: ID
+    lines: list[tuple[Stamp, str, str, str]] | None
+    """Time in nanoseconds since 1970, level, logger and text of each, the oldest first; nil if the
+    server keeps none."""
+
+
 FromServer: TypeAlias = (
     Welcome
     | Following
@@ -295,6 +305,7 @@ FromServer: TypeAlias = (
     | Places
     | Operated
     | RunsAgain
+    | Logged
     | Ping
     | Goodbye
 )

@@ -31,6 +31,7 @@ from fibaction.border.event_loop import Slices
 from fibaction.wire.auth import Permission
 from fibaction.wire.messages import (
     Actions,
+    AskLog,
     AskPeers,
     AskPlaces,
     AwaitServer,
@@ -40,6 +41,7 @@ from fibaction.wire.messages import (
     Finished,
     GoalChanged,
     ListActions,
+    Logged,
     Operate,
     Operated,
     Peers,
@@ -59,7 +61,15 @@ from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction.words.statuses import GoalStatus
 
 Request: TypeAlias = (
-    CancelGoals | WatchStatus | AwaitServer | ListActions | AskPeers | AskPlaces | Operate | Rerun
+    CancelGoals
+    | WatchStatus
+    | AwaitServer
+    | ListActions
+    | AskPeers
+    | AskPlaces
+    | Operate
+    | Rerun
+    | AskLog
 )
 Answer: TypeAlias = (
     CancelAnswered
@@ -72,6 +82,7 @@ Answer: TypeAlias = (
     | Places
     | Operated
     | RunsAgain
+    | Logged
 )
 
 PART = 256
@@ -125,6 +136,7 @@ class RequestHandlers:
             AskPlaces: self._ask_places,
             Operate: self._operate,
             Rerun: self._rerun,
+            AskLog: self._ask_log,
         }
 
     def limit_for(self, request: Request) -> str:
@@ -300,6 +312,15 @@ class RequestHandlers:
         async with self._listing[message.action]:
             new = await endpoint.rerun(GoalID(message.goal_id))
             await self._say(RunsAgain(message.id, new))
+
+    async def _ask_log(self, message: AskLog, _subscription: RequestSubscription) -> None:
+        endpoint = await self._find(message.action, Permission.OBSERVE)
+        async with self._listing[message.action]:
+            lines = await endpoint.log_lines(GoalID(message.goal_id))
+            told = None
+            if lines is not None:
+                told = [(one.at, one.level, one.logger, one.text) for one in lines]
+            await self._say(Logged(message.id, told))
 
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
         infos = [endpoint.info for endpoint in self._endpoints.values()]

@@ -25,7 +25,7 @@ from fibaction import (
     TransportError,
     UnknownGoal,
 )
-from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, LogLine
 from fibaction.words.goals import CancelAnswer, digest_of
 from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction_transports.nats.broker.broker import BrokerAway
@@ -565,3 +565,32 @@ async def test_workers_that_are_gone_meanwhile_cannot_be_paused(
         monkeypatch.setattr(endpoint, "of_all", nobody)
         with pytest.raises(ServerNotFound):
             await endpoint.change_intake(pause)
+
+
+class Logging(ForwardingEndpoint):
+    """A server with log lines of all goals."""
+
+    def __init__(self, inner: Endpoint, *times: int) -> None:
+        super().__init__(inner)
+        self._lines = [LogLine(time, "INFO", "arm", "moves") for time in times]
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return self._lines
+
+
+async def test_the_log_lines_of_all_attempts_at_a_goal_are_told_in_their_order(
+    fleet: FakeFleet,
+) -> None:
+    async with (
+        fleet.worker("a").serve(Logging(server(), 1, 4)),
+        fleet.worker("b").serve(Logging(server(), 2)),
+        fleet.worker("c").serve(server()),
+        fleet.connect() as connection,
+    ):
+        lines = await connection.endpoint(COUNT).log_lines(GOAL_ID)
+    assert [line.at for line in lines or ()] == [1, 2, 4]
+
+
+async def test_a_fleet_whose_workers_keep_no_log_lines_tells_so(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        assert await connection.endpoint(COUNT).log_lines(GOAL_ID) is None

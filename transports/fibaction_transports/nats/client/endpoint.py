@@ -43,12 +43,20 @@ import time
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import TypeAlias, TypeVar
 
 import anyio
 from msgspec.structs import replace
 
-from fibaction.border.abc import Absence, Endpoint, GoalRequest, StatusStream, cancel_each
+from fibaction.border.abc import (
+    Absence,
+    Endpoint,
+    GoalRequest,
+    LogLine,
+    StatusStream,
+    cancel_each,
+)
 from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
@@ -364,6 +372,16 @@ class FleetEndpoint(Endpoint):
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         return await self._in_history(self._history.rerun(goal_id))
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        async def ask(worker: str) -> list[LogLine] | None:
+            calls = self._parts.connections.calls_of(worker)
+            await calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
+            return await calls.log_lines(self._info.name, goal_id)
+
+        told = await self.of_all(await self.workers(), ask)  # each may have had an attempt at it
+        kept = [lines for lines in told if lines is not None]
+        return sorted(chain(*kept), key=lambda line: line.at) if kept else None
 
     async def wait_for_server(self) -> None:
         workers = self._parts.workers

@@ -6,6 +6,7 @@ import { button, h, setProgress, setText, show } from "./dom.js";
 import { FeedbackView } from "./feedback_view.js";
 import { GoalFamily } from "./goal_family.js";
 import { labelsOf } from "./goal_filter.js";
+import { GoalLog } from "./goal_log.js";
 import { Images } from "./images.js";
 import { counted, durationOf, shortId, showBadge, timeOf } from "./goal_text.js";
 import { Topics } from "./topics.js";
@@ -33,6 +34,7 @@ export class GoalView {
     this.log = h("details", { ontoggle: redraw }, h("summary", {}, "Messages"), this.lines);
     this.feedbackTitle = h("h3", {}, "Feedback");
     this.shown = h("div", {});
+    this.lineLog = new GoalLog(store);
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
@@ -58,6 +60,7 @@ export class GoalView {
       this.reason,
       h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal, this.goalImages), h("div", {}, h("h3", {}, "Result"), this.result, this.resultImages)),
       this.feedback,
+      this.lineLog.element,
       new Topics(store, record.info).element,
     );
     this.take(record);
@@ -103,6 +106,7 @@ export class GoalView {
     this.updateLabels(record);
     this.comparison.update(this.store.goals.get(this.store.basis), record);
     this.family.update(record);
+    this.lineLog.update(record);
     setText(this.reason, record.reason);
     show(this.reason, Boolean(record.reason));
     show(this.bar, record.progress !== null);

@@ -140,11 +140,15 @@ export class Store {
     }
   }
 
+  /** Return the path of a goal at the server. */
+  pathOf({ action, id }) {
+    return `actions/${action.split("/").map(encodeURIComponent).join("/")}/goals/${id}`;
+  }
+
   /** Have the server run a goal again that was given up, and return the ID of the new one. */
   async rerun({ action, id }) {
     await this.checkIsThere(action, "nothing was sent");
-    const path = `actions/${action.split("/").map(encodeURIComponent).join("/")}/goals/${id}/rerun`;
-    const answer = await this.ask(path, undefined, { method: "POST" });
+    const answer = await this.ask(`${this.pathOf({ action, id })}/rerun`, undefined, { method: "POST" });
     const told = await answer.json();
     if (!answer.ok) {
       throw new Error(told.detail ?? answer.statusText);

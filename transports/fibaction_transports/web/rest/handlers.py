@@ -107,6 +107,7 @@ class RestInterface:
             (Resource.GOAL, "DELETE"): self._cancel_goal,
             (Resource.EVENTS, "GET"): self._follow_goal,
             (Resource.RERUN, "POST"): self._rerun_goal,
+            (Resource.LOG, "GET"): self._tell_log,
             (Resource.SEARCH, "GET"): self._search_goals,
         }
 
@@ -358,6 +359,14 @@ class RestInterface:
             raise Refused(409, text)
         location = ("Location", f"{exchange.root}/actions/{route.action}/goals/{new}")
         await exchange.answer(201, msgspec.json.encode({"goal_id": str(new)}), location)
+
+    async def _tell_log(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
+        endpoint = await self._endpoint(client, route, Permission.OBSERVE)
+        lines = await endpoint.log_lines(route.goal_id)
+        told = None
+        if lines is not None:
+            told = [{**msgspec.structs.asdict(line), "at": str(line.at)} for line in lines]
+        await exchange.answer(200, msgspec.json.encode({"lines": told}))
 
     # Cancels
 

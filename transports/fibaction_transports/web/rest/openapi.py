@@ -147,6 +147,21 @@ _PROBLEM = {
 }
 _PROBLEMS = {"4XX": _PROBLEM, "default": _PROBLEM}
 _RERUN = {"type": "object", "required": ["goal_id"], "properties": {"goal_id": _ONE_ID}}
+_LOG_LINE = {
+    "type": "object",
+    "required": ["at", "level", "logger", "text"],
+    "properties": {
+        "at": {"type": "string", "description": "Nanoseconds since 1970."},
+        "level": _TEXT,
+        "logger": _TEXT,
+        "text": _TEXT,
+    },
+}
+_LOG = {
+    "type": "object",
+    "required": ["lines"],
+    "properties": {"lines": {"type": ["array", "null"], "items": _LOG_LINE}},
+}
 _GOAL_ID = {"name": "goal_id", "in": "path", "required": True, "schema": _ONE_ID}
 
 
@@ -270,6 +285,8 @@ _DESCRIPTIONS = {
     "cancel": "Asks the goal to stop. It ends when its executor has cleaned up.",
     "rerun": "Runs a goal that was given up again, as a new goal from its last checkpoint, and"
     " tells the ID of that. It needs the permission `OPERATE`.",
+    "log": "The newest log records of the goal's executor, the oldest first; null if the server"
+    " keeps none.",
     "events": "The events of a goal, from its first feedback or from the one after `after`.",
 }
 
@@ -372,6 +389,10 @@ class _Described:
         again = {"201": _answer("The goal runs again.", _RERUN)}
         paths[f"{base}/goals/{{goal_id}}/rerun"] = {
             "post": self._operation("rerun", "Run a given-up goal again.", again, _GOAL_ID)
+        }
+        log = {"200": _answer("The log records.", _LOG)}
+        paths[f"{base}/goals/{{goal_id}}/log"] = {
+            "get": self._operation("log", "Tell the log of a goal.", log, _GOAL_ID)
         }
         events = {"200": {"description": self._events, "content": _STREAM}, "204": _NO_MORE}
         paths[f"{base}/goals/{{goal_id}}/events"] = {

@@ -31,6 +31,7 @@ class Resource(Enum):
     GOAL = auto()
     EVENTS = auto()
     RERUN = auto()
+    LOG = auto()
     SEARCH = auto()
 
 
@@ -44,6 +45,7 @@ METHODS = {
     Resource.GOAL: ("GET", "PUT", "DELETE"),
     Resource.EVENTS: ("GET",),
     Resource.RERUN: ("POST",),
+    Resource.LOG: ("GET",),
     Resource.SEARCH: ("GET",),
 }
 """The methods of each resource; HEAD is GET without the body of the answer."""
@@ -78,6 +80,7 @@ class Route:
 _PATHS = {
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/events"): Resource.EVENTS,
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/rerun"): Resource.RERUN,
+    re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)/log"): Resource.LOG,
     re.compile(r"/actions/(?P<action>.+)/goals/(?P<goal>[^/]+)"): Resource.GOAL,
     re.compile(r"/actions/(?P<action>.+)/goals"): Resource.GOALS,
     re.compile(r"/actions/(?P<action>.+)/stats"): Resource.STATISTICS,
