@@ -2,7 +2,7 @@
 # Get a program that tests or benchmarks use, where this user may and apt-get is there; it is left
 # out elsewhere, with a line that says so where tests are.
 #
-#     get.sh chromium | node | compiler | promtool | nats | redis
+#     get.sh chromium | node | compiler | promtool | nats
 has() { command -v "$1" >/dev/null; }
 
 install() {
@@ -30,7 +30,6 @@ node) { has node && has npm; } || install nodejs npm ;;
 compiler) { has cc && has c++; } || install g++ ;;
 promtool) has promtool || unpack prometheus prometheus ;;
 nats) has nats-server || unpack nats nats-server ;;
-redis) has redis-server || unpack redis redis-server redis-tools libjemalloc2 liblzf1 ;;
 *) exit 2 ;;
 esac
 true

@@ -6,9 +6,8 @@ for version in $(tests/tools/find_python.sh --others); do
     tests/tools/other_python.sh "build/python$version" "$version"
 done
 tests/tools/get.sh nats
-tests/tools/get.sh redis
 .venv/bin/python -m tests.tools.benchmarks all --scale "$1"
 .venv/bin/python -m tests.tools.benchmarks.functions --write
 .venv/bin/python -m tests.tools.benchmarks.durable
-.venv/bin/python -m tests.tools.benchmarks.fleet
+.venv/bin/python -m tests.tools.benchmarks.fleet feedback
 .venv/bin/python -m tests.tools.benchmarks.pythons --write

@@ -52,8 +52,6 @@ async def hold(contender: Contender, times: int) -> None:
 
 ORDERS: dict[str, Work] = {
     "goals": timed(lambda contender, times: contender.goals(times)),
-    "hundred": timed(lambda contender, times: contender.at_once(times, 100)),
-    "five_hundred": timed(lambda contender, times: contender.at_once(times, 500)),
     "batches": timed(batches),
     "feedback": timed(lambda contender, times: contender.feedback(times)),
     "goal_times": lambda contender, times: contender.goal_times(times),

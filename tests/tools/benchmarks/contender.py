@@ -66,17 +66,6 @@ class Contender(ABC):
                     tasks.start_soon(self.goal)
         return times * AT_ONCE
 
-    async def at_once(self, times: int, width: int) -> None:
-        """Run goals without feedback, always so many at once."""
-
-        async def some(first: int) -> None:
-            for _ in range(first, times, width):
-                await self.goal()
-
-        async with create_task_group() as tasks:
-            for first in range(width):
-                tasks.start_soon(some, first)
-
     async def feedback(self, times: int) -> int:
         """Run one goal with so many feedback messages, and read and decode them all; return the
         number that arrived.

@@ -10,7 +10,6 @@ puts the table into docs/comparisons.md.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -39,12 +38,9 @@ from tests.hostile.meter import Reading
 from tests.hostile.raw_client import Raw, Target
 from tests.hostile.victim import Settings
 from tests.support.fibonacci import FIBONACCI, Goal
-from tests.support.page_parts import with_part
-from tests.tools.benchmarks.pages import PAGE
+from tests.tools.benchmarks.pages import run
 
 GOALS = 10_000
-PART = ("costs", "python -m tests.tools.benchmarks.costs")
-"""The part of the page with the table, and the command that makes it."""
 IDLE = 0.001
 """Seconds of the processor that an idle server uses in 50 ms, at most."""
 CHANGED = 40  # the tag of GoalChanged
@@ -166,7 +162,7 @@ def too_dear(found: Mapping[str, Cost], goals: int) -> list[str]:
     ]
 
 
-async def measure(goals: int) -> dict[str, Cost]:
+async def costs(goals: int) -> dict[str, Cost]:
     """Return the cost of each kind of message at a server with so many active goals."""
     found: dict[str, Cost] = {}
     with started(Settings()) as server:
@@ -178,28 +174,25 @@ async def measure(goals: int) -> dict[str, Cost]:
     return found
 
 
-def table(costs: dict[str, Cost], goals: int) -> str:
+def table(found: dict[str, Cost], goals: int) -> str:
     """Return the costs as a table for the page."""
     lines = [
         f"| One message, with {goals:,} active goals | Microseconds | Bytes held |",
         "| --- | ---: | ---: |",
     ]
-    for name, cost in costs.items():
+    for name, cost in found.items():
         lines.append(f"| {name} | {cost.microseconds:,.0f} | {cost.held:,.0f} |")
     return "\n".join(lines)
 
 
+async def measure(goals: int) -> str:
+    """Return the table for the page."""
+    return table(await costs(goals), goals)
+
+
 def main() -> None:
     """Print the table, or write it."""
-    parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.costs")
-    parser.add_argument("--goals", type=int, default=GOALS)
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
-    made = table(anyio.run(measure, arguments.goals), arguments.goals)
-    print(made)
-    if arguments.write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
+    run("costs", measure, goals=GOALS)
 
 
 if __name__ == "__main__":

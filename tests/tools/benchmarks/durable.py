@@ -1,12 +1,11 @@
-"""The costs of a store: servers with one beside a server without, and beside DBOS.
+"""The costs of a store: servers with one beside a server without.
 
     python -m tests.tools.benchmarks.durable [--rounds N] [--folder FOLDER] [--rates KIND]
 
 A server without a store, one with `sync="full"` and one with `sync="normal"` do the same goals in
-turns, so that other programs disturb all of them. DBOS takes part where it is installed: one
-workflow with one step for each goal, in a file of SQLite. `make bench` ends with this. Between the
-servers, the disk alone makes small writes durable, one after another: the rate of its own. With
-`--rates tcp` or `--rates inproc`, only the rates over this transport are measured.
+turns, so that other programs disturb all of them. Between the servers, the disk alone makes small
+writes durable, one after another: the rate of its own. With `--rates tcp` or `--rates inproc`, only
+the rates over this transport are measured.
 
 Garbage is collected as rarely as `fibaction serve` does it: goals that wait for the disk are alive
 for many turns, and Python's default would look at them again and again.
@@ -20,7 +19,6 @@ import argparse
 import gc
 import os
 import tempfile
-import time
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -30,21 +28,16 @@ from typing import Literal, TypeAlias
 
 import anyio
 
-from fibaction import Action, ActionServer, GoalHandle, GoalID, SqliteStore, serve
+from fibaction import Action, ActionServer, GoalHandle, SqliteStore, serve
 from fibaction import connect as connect_to
-from fibaction.border.goal_store import GoalStore, StoredGoal
+from fibaction.border.goal_store import GoalStore
 from fibaction.cli.verbs.serve import rare_collections
-from fibaction.words.goals import Sender
-from fibaction.words.statuses import GoalStatus
-from tests.tools.benchmarks import over_dbos
 
 WORK = Action("work", goal=int, feedback=int, result=str)
 GOALS = {1: 200, 100: 5000, 500: 5000}
 """The number of goals of a round, by the number of goals at once."""
 KINDS = ("inproc", "tcp")
 """The transports over which rates are measured."""
-KEPT = 10_000
-"""Goals that a start finds in its store."""
 RECORD = bytes(200)
 """Bytes of a write that is measured beside one goal at a time."""
 
@@ -137,97 +130,9 @@ def sync_seconds(path: Path, times: int) -> float:
         os.close(file)
 
 
-# The start
-
-
-async def fill(store: GoalStore, active: int, ended: int) -> None:
-    """Write goals into the store."""
-    left = anyio.Semaphore(0)
-
-    def then(error: Exception | None) -> None:
-        assert error is None
-        left.release()
-
-    async with store.open("work", max_results=KEPT, claim=_ignore, lose=_ignore) as journal:
-        for number in range(active + ended):
-            goal = StoredGoal(
-                GoalID.random(), time.time_ns(), Sender("robot"), bytes(16), WORK.goal.encode(5)
-            )
-            journal.accept(goal, then)
-            if number < ended:
-                goal.status, goal.result = GoalStatus.SUCCEEDED, WORK.result.encode("done")
-                goal.ended_at = time.time_ns()
-                goal.keep_until = goal.ended_at + 10**12
-                journal.end(goal, then)
-        for _ in range(active + 2 * ended):
-            await left.acquire()
-
-
-def _ignore(_: object) -> None:
-    pass
-
-
-async def restores(folder: Path, rounds: int) -> None:
-    """Print the seconds of a start with many goals: of the store alone, and of a server."""
-    for what, active, ended in (("ended", 0, KEPT), ("active", KEPT, 0)):
-        alone: list[float] = []
-        whole: list[float] = []
-        for number in range(rounds):
-            path = folder / f"{what}{number}.db"
-            await fill(SqliteStore(path), active, ended)
-            began = perf_counter()
-            async with SqliteStore(path).open(
-                "work", max_results=KEPT, claim=_ignore, lose=_ignore
-            ):
-                alone.append(perf_counter() - began)
-            server = ActionServer(
-                WORK, work, store=SqliteStore(path), max_results=KEPT, max_goals=2 * KEPT
-            )
-            began = perf_counter()
-            async with server:
-                whole.append(perf_counter() - began)
-        print(
-            f"start with {KEPT:,} goals that are {what}: {median(alone):.2f} s for the store,"
-            f" {median(whole):.2f} s ({min(whole):.2f} to {max(whole):.2f}) for the server",
-            flush=True,
-        )
-
-
-# DBOS
-
-
-async def beside_dbos(folder: Path, rounds: int) -> None:
-    """Print the rates of a store and of DBOS, in turns."""
-    if over_dbos.MISSING:
-        print(f"left out is DBOS: {over_dbos.MISSING}")
-        return
-    async with AsyncExitStack() as stack:
-        ours = await stack.enter_async_context(
-            served("inproc://beside", SqliteStore(folder / "beside.db"))
-        )
-        theirs = await stack.enter_async_context(over_dbos.launched(folder / "dbos.db"))
-        for at_once, times in ((1, 50), (100, 500)):
-            pairs = []
-            for number in range(rounds + 1):
-                one = await rounds_of(ours, at_once, times)
-                other = await rounds_of(theirs, at_once, times)
-                if number:
-                    pairs.append((one[0], other[0]))
-            print(
-                f"{at_once:3} at once: {1 / median(one for one, _ in pairs):.0f} goals/s, and"
-                f" {1 / median(other for _, other in pairs):.0f} workflows/s of DBOS:"
-                f" {median(other / one for one, other in pairs):.1f} times as many",
-                flush=True,
-            )
-
-
 async def measure(rounds: int, folder: Path, only: str | None) -> None:
     for kind in KINDS if only is None else (only,):
         await rates(kind, folder, rounds)
-    if only is not None:
-        return
-    await restores(folder, rounds)
-    await beside_dbos(folder, rounds)
 
 
 def main() -> None:

@@ -9,7 +9,6 @@ changes both. `--write` puts the table into docs/comparisons.md.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 from collections.abc import AsyncGenerator, Awaitable, Callable
@@ -20,12 +19,9 @@ import anyio
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Report, action, connect, serve
 from fibaction.types.action import GoalT
-from tests.support.page_parts import with_part
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
-from tests.tools.benchmarks.pages import PAGE
+from tests.tools.benchmarks.pages import run
 
-PART = ("functions", "python -m tests.tools.benchmarks.functions")
-"""The part of the page with the table, and the command that makes it."""
 ADDRESSES = {"in one process": "inproc://functions", "tcp": "tcp://127.0.0.1:0"}
 GOALS, AT_ONCE, MESSAGES = 300, 500, 5000
 WARM_UP = 2
@@ -119,15 +115,7 @@ async def measure(rounds: int) -> str:
 
 def main() -> None:
     """Print the table, or write it."""
-    parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.functions")
-    parser.add_argument("--rounds", type=int, default=30)
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
-    made = anyio.run(measure, arguments.rounds)
-    print(made)
-    if arguments.write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
+    run("functions", measure, rounds=30)
 
 
 if __name__ == "__main__":

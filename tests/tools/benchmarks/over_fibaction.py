@@ -21,7 +21,7 @@ import anyio
 import msgspec
 
 import fibaction
-from fibaction import Action, ActionClient, ActionServer, ClientGoal, GoalHandle, Return, Schedule
+from fibaction import Action, ActionClient, ActionServer, ClientGoal, GoalHandle, Return
 from fibaction.cli.verbs.serve import rare_collections
 from fibaction.wire.settings import Limits
 from tests.support import fibonacci
@@ -35,18 +35,13 @@ from tests.tools.benchmarks.contender import (
     Ends,
     GoalTimes,
 )
-from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result, count, executor
+from tests.tools.benchmarks.inprocess import ACTION, Goal, count, executor
 
 KEPT: dict[str, Any] = {"result_timeout": math.inf, "max_results": 1_000_000}
 """The settings of a server that keeps all results for ever."""
 LIMITS = Limits(goals=20_000)
 """The limits for one client with more than 10,000 pending goals."""
 FLEET = "FIBACTION_BENCH_FLEET"
-MANY: dict[str, Any] = {"max_results": 1_000_000}
-"""The settings of a server that forgets outcomes by their time only, as its peers do."""
-CONCURRENCY = 5
-SECONDS = 0.1
-"""Seconds of a goal of a slow fleet, whose workers do at most 50 of them in a second."""
 
 
 @asynccontextmanager
@@ -88,23 +83,8 @@ async def connect_inproc(address: str, **settings: Any) -> AsyncGenerator[Conten
 @asynccontextmanager
 async def serve_fleet() -> AsyncGenerator[str, None]:
     with rare_collections():
-        async with serve(os.environ[FLEET], **MANY):
+        async with serve(os.environ[FLEET]):
             yield os.environ[FLEET]
-
-
-async def work(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-    await anyio.sleep(SECONDS)
-    yield Result(goal.request.count)
-
-
-@asynccontextmanager
-async def serve_slow_fleet() -> AsyncGenerator[str, None]:
-    """Serve goals that take a while, few at once; all that wait are in one queue of the fleet."""
-    schedule = Schedule(concurrency=CONCURRENCY, queue=1000)
-    async with fibaction.serve(
-        ActionServer(ACTION, work, schedule=schedule, **MANY), os.environ[FLEET]
-    ):
-        yield os.environ[FLEET]
 
 
 class Text(msgspec.Struct):
@@ -183,7 +163,6 @@ ENDS = {
     "inproc": Ends(serve, connect_inproc),
     "inproc_kept": Ends(serve, partial(connect_inproc, **KEPT)),
     "fleet": Ends(serve_fleet, connect),
-    "slow_fleet": Ends(serve_slow_fleet, connect),
     "ros2": Ends(serve_ros2, connect_ros2),
     "dds": Ends(serve_dds, connect_dds),
     **{

@@ -1,15 +1,37 @@
-"""The tables of docs/comparisons.md, from the reports alone."""
+"""The tables of docs/comparisons.md."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import argparse
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
+
+import anyio
 
 from tests.support.page_parts import with_part
 from tests.tools.benchmarks.program import ROOT
 
 PAGE = ROOT / "docs" / "comparisons.md"
 NOTHING = "–"  # noqa: RUF001  # the dash that tables show for a missing number
+
+
+def run(name: str, measure: Callable[..., Awaitable[str]], **options: int) -> None:
+    """Run a program that measures, with these options and their defaults, and print its table;
+    `--write` puts it into the part of the page that has the program's name.
+    """
+    command = f"python -m tests.tools.benchmarks.{name}"
+    parser = argparse.ArgumentParser(prog=command)
+    for option, default in options.items():
+        parser.add_argument(f"--{option}", type=int, default=default)
+    parser.add_argument("--write", action="store_true")
+    given = vars(parser.parse_args())
+    is_written = given.pop("write")
+    made = anyio.run(partial(measure, **given))
+    print(made)
+    if is_written:
+        page = PAGE.read_text(encoding="utf-8")
+        PAGE.write_text(with_part(page, name, command, made), encoding="utf-8")
 
 
 def with_tables(page: str, reports: dict[str, dict[str, Any]]) -> str:

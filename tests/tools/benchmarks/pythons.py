@@ -10,22 +10,17 @@ disturb little. `--write` puts the table into docs/comparisons.md.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from statistics import median, quantiles
 
-import anyio
-
-from tests.support.page_parts import with_part
-from tests.tools.benchmarks.pages import PAGE
+from tests.tools.benchmarks.pages import run
 from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.versions import Version, compare
 
-PART = ("pythons", "python -m tests.tools.benchmarks.pythons")
-"""The part of the page with the table, and the command that makes it."""
 NAMES = {"goals": "one after another", "batches": "500 at once", "feedback": "feedback"}
 ABOUT = (
     "import json, platform; from importlib.metadata import version;"
@@ -74,22 +69,19 @@ def table(ratios: dict[str, dict[str, list[float]]], first: str) -> str:
     return "\n".join(lines)
 
 
+async def measure(pythons: dict[str, Path], rounds: int) -> str:
+    """Return the table for the page."""
+    versions = {name: Version(python=python) for name, python in pythons.items()}
+    return table(await compare(versions, rounds), next(iter(pythons)))
+
+
 def main() -> None:
     """Print the table, or write it."""
-    parser = argparse.ArgumentParser(prog="python -m tests.tools.benchmarks.pythons")
-    parser.add_argument("--rounds", type=int, default=30)
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
     pythons = found(ROOT / "build")
     if len(pythons) == 1:
         print("no other Python is compared: `make test-pythons` makes their environments")
-        return
-    versions = {name: Version(python=python) for name, python in pythons.items()}
-    made = table(anyio.run(compare, versions, arguments.rounds), next(iter(pythons)))
-    print(made)
-    if arguments.write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(with_part(page, *PART, made), encoding="utf-8")
+    else:
+        run("pythons", partial(measure, pythons), rounds=30)
 
 
 if __name__ == "__main__":

