@@ -86,6 +86,7 @@ def test_unread_results_are_lost_when_they_are_too_large_together() -> None:
     with pytest.raises(UnknownGoal):
         many[0].take()
     assert registry.budget.used == registry.results.unread_size == 100
+    assert "has not read results of 60 bytes" in registry.results.busy_for(b"many")
 
 
 def test_results_that_no_stream_has_go_before_those_that_are_unread() -> None:
@@ -148,6 +149,8 @@ def test_what_a_log_has_beside_the_result_counts_with_it_for_the_same_client() -
     held = record.held
     assert held is not None
     held.resize(40)
+    assert held.share is not None
+    assert held.share.size == 40
     assert (registry.budget.used, registry.results.size, registry.results.unread_size) == (
         40,
         40,

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import anyio
 
 from tests.soak.ends import CONNECTIONS
+from tests.support.json_program import Program, processor_of, program
 from tests.support.ros_domain import own_domain
-from tests.tools.benchmarks.program import Program, processor_of, program
 from tests.tools.benchmarks.suite import machine
 
 SAMPLES = 120

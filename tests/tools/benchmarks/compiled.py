@@ -16,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.tools.benchmarks.program import ROOT
+from tests.support.json_program import ROOT
 
 MODULES = [
     "fibaction/_runtime/notify.py",

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import anyio
 
+from tests.support.json_program import ROOT, Program, program
 from tests.tools.benchmarks.contender import ACTION_NAME, AT_ONCE
-from tests.tools.benchmarks.program import ROOT, Program, program
 
 OURS, STOCK = "fibaction", "rclpy"
 REMEMBERED = {f"a server that remembers {count}": count for count in (10, 1000)}

@@ -16,10 +16,10 @@ import anyio
 
 from fibaction import ActionServer, connect, serve
 from tests.support.fibonacci import Goal
+from tests.support.json_program import ROOT, program
 from tests.support.ros_domain import own_domain
 from tests.tools.benchmarks.child import say
 from tests.tools.benchmarks.over_fibaction import action_of_ros, execute_of_ros
-from tests.tools.benchmarks.program import ROOT, program
 
 FOLDERS = ROOT / "examples/ros2"
 IDLE = 10.0

@@ -9,8 +9,8 @@ from typing import Any
 
 import anyio
 
+from tests.support.json_program import ROOT
 from tests.support.page_parts import with_part
-from tests.tools.benchmarks.program import ROOT
 
 PAGE = ROOT / "docs" / "comparisons.md"
 NOTHING = "–"  # noqa: RUF001  # the dash that tables show for a missing number

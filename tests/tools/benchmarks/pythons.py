@@ -17,8 +17,8 @@ from functools import partial
 from pathlib import Path
 from statistics import median, quantiles
 
+from tests.support.json_program import ROOT
 from tests.tools.benchmarks.pages import run
-from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.versions import Version, compare
 
 NAMES = {"goals": "one after another", "batches": "500 at once", "feedback": "feedback"}

@@ -24,8 +24,8 @@ from typing import NamedTuple, TypeAlias
 
 import anyio
 
+from tests.support.json_program import ROOT
 from tests.tools.benchmarks import versions
-from tests.tools.benchmarks.program import ROOT
 
 MOST = 0.15
 """The part of its speed by which an order may be slower."""

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
+from tests.support.json_program import Program
 from tests.tools.benchmarks.contender import AT_ONCE
-from tests.tools.benchmarks.program import Program
 from tests.tools.benchmarks.ways import ROS, WAYS, Pair
 
 ROUNDS = 7

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import msgspec
 
+from tests.support.json_program import ROOT
 from tests.support.page_parts import with_part
 from tests.tools.benchmarks.pages import NOTHING
-from tests.tools.benchmarks.program import ROOT
 from tests.tools.drawing import Bar, Panel, bars
 
 PAGE = ROOT / "docs" / "shown_to_hold.md"

@@ -26,7 +26,7 @@ from fibaction import (
     serve,
 )
 from tests.fleet.servers import Servers, servers
-from tests.tools.benchmarks.program import processor_of
+from tests.support.json_program import processor_of
 
 TCP = "tcp://127.0.0.1:0"
 

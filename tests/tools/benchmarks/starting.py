@@ -10,7 +10,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from tests.tools.benchmarks.program import ROOT
+from tests.support.json_program import ROOT
 from tests.tools.benchmarks.ways import ROS_PYTHON
 
 ROUNDS = 11

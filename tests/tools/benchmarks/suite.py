@@ -12,8 +12,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from tests.support.json_program import ROOT
 from tests.tools.benchmarks import growing, pages, pictures, rounds, starting
-from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ways import (
     ROS,
     WAYS,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.json_program import ROOT
 from tests.tools.benchmarks import regression, versions
-from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.regression import (
     Change,
     Ratios,

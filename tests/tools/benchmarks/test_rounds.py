@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.json_program import Program
 from tests.tools.benchmarks import rounds
 from tests.tools.benchmarks.contender import AT_ONCE
-from tests.tools.benchmarks.program import Program
 from tests.tools.benchmarks.ways import Pair
 
 pytestmark = pytest.mark.asyncio

@@ -16,11 +16,11 @@ from typing import Any
 import anyio
 import pytest
 
+from tests.support.json_program import ROOT
 from tests.support.nats_server import IS_LEFT_OUT
 from tests.tools.benchmarks import growing, pages, rounds, starting, suite, versions
 from tests.tools.benchmarks.functions import ADDRESSES, KINDS
 from tests.tools.benchmarks.pictures import picture
-from tests.tools.benchmarks.program import ROOT
 from tests.tools.benchmarks.ways import WAYS
 
 pytestmark = pytest.mark.timeout(240)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from tests.tools.benchmarks.program import Program, program
+from tests.support.json_program import Program, program
 from tests.tools.benchmarks.topics_end import CONTENDERS, PERIODS
 
 ROUNDS = 5

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import anyio
 
-from tests.tools.benchmarks.program import ROOT, Program, program
+from tests.support.json_program import ROOT, Program, program
 
 WORK = {"goals": 800, "batches": 2, "feedback": 5000}
 """The work of each version in a round, and the number of times."""

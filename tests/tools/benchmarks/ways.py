@@ -13,8 +13,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from tests.support.json_program import ROOT, Program, program
 from tests.support.nats_server import PROGRAM
-from tests.tools.benchmarks.program import ROOT, Program, program
 
 IN_ONE, BETWEEN, ROS = (
     "In one process",
