@@ -389,13 +389,13 @@ def test_a_value_that_does_not_fit_is_a_protocol_error_that_names_the_field(
         (b"\xc0", "Expected `object`, got `None`"),
         (b"", "Input data was truncated"),
         (b"\x81", "Input data was truncated"),
-        (encode({"a_string": ""})[:-1] + b"\xa1\xff", "'utf-8' codec can't decode"),
+        (encode({"a_string": ""})[:-1] + b"\xa1\xff", "utf-8"),
         (b"\x81\xa8a_string" + b"\x91" * 100_000, "Expected `str`, got `array`"),
         (b"\x81\xaddefault_bytes" + b"\x91" * 100_000, "recursion"),
     ],
 )
 def test_a_payload_of_another_type_is_a_protocol_error(payload: bytes, text: str) -> None:
-    with pytest.raises(ProtocolError, match=re.escape(text)):
+    with pytest.raises(ProtocolError, match=f"(?i){re.escape(text)}"):
         UNTYPED.goal.to_ros(payload)
 
 

@@ -81,7 +81,7 @@ LIMITED = {
 """The types of fields that have limits, and what they are without them."""
 
 SECONDS_PER_TEST = 60  # many times what the slowest test takes; one with a fault may never end
-SECONDS_PER_MUTANT = 300  # of a processor's time, for what does not even stop for that
+SECONDS_PER_MUTANT = 60  # of a processor, for what does not even stop for that
 MEMORY = 2**31  # a loop without an end may fill a list
 FAILED = 3  # pytest's number for an error of its own
 NOTICED = {1, 2}  # what pytest ends with if a test fails, or if a test file cannot be imported
