@@ -417,9 +417,9 @@ def test_half_a_message_and_two_messages_are_none(
 
 
 def test_text_that_is_no_utf_8_is_rejected() -> None:
-    with pytest.raises(ProtocolError, match="(?i)utf-8"):
+    with pytest.raises(ProtocolError, match=r"(?i)utf-8"):
         decode_from_client(b"\x92\x01\xa1\xff")
-    with pytest.raises(ProtocolError, match="(?i)utf-8"):
+    with pytest.raises(ProtocolError, match=r"(?i)utf-8"):
         decode_from_server(b"\x92\x01\xa1\xff")
 
 
