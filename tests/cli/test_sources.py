@@ -19,6 +19,7 @@ from fibaction_transports.ros2 import Node, open_node
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.ports import free_port
 from tests.support.ros_domain import own_domain
+from tests.support.zenoh_router import own_router
 
 pytestmark = pytest.mark.anyio
 
@@ -26,12 +27,14 @@ STRING = "std_msgs/msg/String"
 
 
 @asynccontextmanager
-async def bridged(names: dict[str, str]) -> AsyncGenerator[tuple[Node, BridgedSources], None]:
+async def bridged(
+    names: dict[str, str], talker: str = "dds://talker"
+) -> AsyncGenerator[tuple[Node, BridgedSources], None]:
     """Open a node that publishes, and serve all sources."""
     found = BridgedSources(names)
     with own_domain(), anyio.fail_after(60):
         async with (
-            open_node("dds://talker", arguments=[]) as node,
+            open_node(talker, arguments=[]) as node,
             open_end("tcp://127.0.0.1:0") as end,
             anyio.create_task_group() as tasks,
         ):
@@ -45,7 +48,17 @@ async def bridged(names: dict[str, str]) -> AsyncGenerator[tuple[Node, BridgedSo
 async def test_a_topic_begins_with_its_type_and_goes_on_with_the_newest_messages(
     name: str, topic: str
 ) -> None:
-    async with bridged({name: "dds://"}) as (node, found):
+    await check_newest({name: "dds://"}, topic, "dds://talker")
+
+
+async def test_a_topic_over_zenoh_is_read_as_well() -> None:
+    with own_router():
+        await check_newest({"arm": "zenoh://"}, "arm/chatter", "zenoh://")
+
+
+async def check_newest(names: dict[str, str], topic: str, talker: str) -> None:
+    """Read a topic of a node that talks on and on."""
+    async with bridged(names, talker) as (node, found):
         publisher = node.publisher("/chatter", STRING)
 
         async def talk() -> None:
@@ -60,7 +73,8 @@ async def test_a_topic_begins_with_its_type_and_goes_on_with_the_newest_messages
             assert found.topics()[topic] == STRING
             kind, schema = msgspec.msgpack.decode(await anext(pieces))
             assert kind == STRING
-            assert "data" in schema["$defs"]["String"]["properties"]
+            (text,) = (one for one in schema["$defs"].values() if one["title"] == "String")
+            assert "data" in text["properties"]
             first, second = [msgspec.msgpack.decode(await anext(pieces)) for _ in range(2)]
             assert int(first["data"]) < int(second["data"])
             tasks.cancel_scope.cancel()
