@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Protocol, final, runtime_checkable
 
 import msgspec
-from anyio import CapacityLimiter, create_task_group, current_time
+from anyio import create_task_group, current_time
 
 from fibaction.border.streams import GoalStream, StatusStream
 from fibaction.types.action import ActionInfo
@@ -444,18 +444,19 @@ async def cancel_each(endpoint: Endpoint, goals: Iterable[GoalID]) -> CancelAnsw
     """
     answers: list[CancelAnswer] = []
     errors: list[ActionError] = []
-    limiter = CapacityLimiter(CANCELS_AT_ONCE)
+    wanted = tuple(goals)
+    left = iter(wanted)
 
-    async def cancel(goal_id: GoalID) -> None:
-        async with limiter:
+    async def cancel() -> None:
+        for goal_id in left:  # the next one that no other task has
             try:
                 answers.append(await endpoint.cancel_goals(goal_id))
             except ActionError as exc:
                 errors.append(exc)
 
     async with create_task_group() as tasks:
-        for goal_id in goals:
-            tasks.start_soon(cancel, goal_id)
+        for _ in range(min(len(wanted), CANCELS_AT_ONCE)):
+            tasks.start_soon(cancel)
     if errors:
         raise errors[0]
     return CancelAnswer.merged(answers)

@@ -24,7 +24,7 @@ from fibaction import (
     Schedule,
 )
 from fibaction.border.goal_store import StoredGoal
-from fibaction.server.execution.suspects import TRIAL, Suspects
+from fibaction.server.execution.suspects import ALL_TRIALS, TRIAL, Suspects
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from tests.server.painting import (
@@ -86,6 +86,21 @@ def _number(goal_id: GoalID) -> int:
 async def ended(server: Server, *numbers: int) -> list[GoalStatus]:
     goals = [await client_of(server).attach(id_of(number)) for number in numbers]
     return [(await goal.outcome()).status for goal in goals]
+
+
+@pytest.mark.promise("KEEP-13")
+async def test_many_suspects_share_the_time_for_which_others_wait() -> None:
+    painter, many = Painter(), range(1, 41)
+    store = store_with(*(stored(10_000, one, is_running=True, attempt=2, lost=1) for one in many))
+    before = current_time()
+    async with server_with(store, painter, max_goals=100, **RERUN) as server:
+        new = await client_of(server).send_goal(1, goal_id=id_of(99))
+        await new.result()
+        begins = sorted(painter.began[one] for one in many)
+        assert all(later > one for one, later in pairwise(begins)), "one after another"
+        assert begins[1] - begins[0] < TRIAL
+        assert TRIAL < painter.began[99] - before <= ALL_TRIALS
+        await server.stop()
 
 
 @pytest.mark.promise("KEEP-13")

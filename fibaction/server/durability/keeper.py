@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     from fibaction.words.errors import StoreError
     from fibaction.words.goals import GoalID
 
-GOAL_IS_TAKEN = "another server has taken the goal over"
+GOAL_IS_TAKEN = (
+    "another server has taken the goal over, since this one has not told the store in time that it"
+    " is there: the goal continues, so follow it by its ID"
+)
 STORE_FAILED = "the server has stopped, because its store has failed"
 GOAL_IS_KEPT = "the server has stopped, and runs the goal again after its next start"
 STORE_IS_LATE = "the server has stopped before its store has answered"

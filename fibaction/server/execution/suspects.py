@@ -11,7 +11,8 @@ crash meets one goal only, and the others are not given up because of it.
 A suspect is on trial until its end is kept, or it keeps a new checkpoint, or `TRIAL` seconds are
 over: then the next one has its turn, and after the last one all others begin. A goal that runs
 already and does not end delays the trial for so long at most. Goals that a suspect has sent begin
-while it is on trial, because it may wait for them.
+while it is on trial, because it may wait for them. Of many suspects, each has a shorter trial: all
+together delay the others for `ALL_TRIALS` seconds at most.
 
 One `Suspects` is that of all servers of an event loop, since a crash meets all of them.
 """
@@ -21,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
-from anyio import move_on_after
+from anyio import current_time, move_on_after
 from anyio.lowlevel import RunVar
 
 from fibaction._runtime.notify import Notifier
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 TRIAL = 30.0
 """Seconds for which a suspect runs alone at most, and for which it waits for goals that run."""
+ALL_TRIALS = 300.0
+"""Seconds for which other goals wait for all suspects together, at most."""
 
 
 class Server(Protocol):
@@ -55,6 +58,7 @@ class Suspects:
         self.left = Notifier()
         """Notifies of each goal that has ended, or is no suspect any more."""
         self._turn = Notifier()
+        self._ends = 0.0  # the time at which no other goal waits any more
         self._on_trial: set[GoalID] = set()  # a suspect, and the goals that it has sent
         self._servers: set[Server] = set()
 
@@ -85,6 +89,8 @@ class Suspects:
 
     def add(self, goal: GoalRecord, server: Server) -> None:
         """Let no other goals begin: there is a suspect, which is to `begin`."""
+        if not self.goals:
+            self._ends = current_time() + ALL_TRIALS
         self.goals[goal] = server
         self._note_change()
 
@@ -114,16 +120,21 @@ class Suspects:
         self._on_trial.add(goal.goal_id)
         self._turn.notify()  # goals that it has sent in an earlier attempt may begin
         try:
-            with move_on_after(TRIAL):
+            with move_on_after(self._share()):
                 while is_active() and any(one.has_begun_others(goal) for one in self._servers):
                     await self.left.wait()
             begin()
-            with move_on_after(TRIAL):
+            with move_on_after(self._share()):
                 while is_active() and goal.suspicion:
                     await self.left.wait()
         finally:
             self._on_trial.clear()
             self._turn.notify()  # its server may have left already, and the goal with it
+
+    def _share(self) -> float:
+        """Return the seconds of one of the two waits of a trial, in an equal part of what is left."""
+        left = max(self._ends - current_time(), 0.0)
+        return min(TRIAL, left / (2 * max(len(self.goals), 1)))
 
     def _discard(self, goal: GoalRecord) -> None:
         if self.goals.pop(goal, None) is not None:
