@@ -132,7 +132,7 @@ class Suspects:
             self._turn.notify()  # its server may have left already, and the goal with it
 
     def _share(self) -> float:
-        """Return the seconds of one of the two waits of a trial, in an equal part of what is left."""
+        """Return the seconds of each of the two waits of a trial: an equal part of what is left."""
         left = max(self._ends - current_time(), 0.0)
         return min(TRIAL, left / (2 * max(len(self.goals), 1)))
 
