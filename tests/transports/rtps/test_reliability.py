@@ -370,6 +370,27 @@ def test_large_samples_are_not_kept_for_a_reader_that_asks() -> None:
     assert writer.kept == 0
 
 
+def test_a_sample_is_kept_for_a_reader_that_was_found_long_ago_and_has_not_answered() -> None:
+    world = World()
+    one, other = world.pair()
+    writer, reader = writer_of(world, one), reader_of(world, other)
+    entity = writer.guid.entity
+    world.is_lost = lambda datagram, _: any(
+        getattr(each, "writer", b"") == entity for each in read_packet(datagram).submessages
+    )
+    world.run(15.0)
+    assert list(writer.readers) == [reader.guid]
+    write(world, writer, "0")
+    assert writer.kept == 1
+    world.is_lost = lambda *_: False
+    world.run(5.0)
+    assert other.texts(reader) == ["0"]
+    world.is_lost = lambda *_: True
+    write(world, writer, "1")
+    world.run(12.0)
+    assert writer.kept == 0
+
+
 def test_a_sample_has_the_time_and_the_parameters_of_its_writer() -> None:
     world = World()
     one, other = world.pair()

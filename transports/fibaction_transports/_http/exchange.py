@@ -113,7 +113,7 @@ class Exchange:
         self._answers = answers
         self._start: Message | None = None  # of the answer, until its first piece
         self._held: CountedBytes | None = None
-        self._writing = CancelScope()  # of a large answer
+        self._writing: CancelScope | None = None  # of a large answer
 
     # The request
 
@@ -313,7 +313,7 @@ class Exchange:
         if not size or self._answers is None:
             yield
             return
-        with self._writing:
+        with CancelScope() as self._writing:
             self._answers.hold(self, size)
             try:
                 yield
@@ -325,6 +325,7 @@ class Exchange:
     def give_up(self) -> None:
         """End the answer, whose memory is needed."""
         assert self._answers is not None
+        assert self._writing is not None
         self._answers.hold(self, 0)
         self._writing.cancel()
 

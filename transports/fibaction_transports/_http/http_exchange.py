@@ -1,9 +1,13 @@
-"""`HttpExchange`: one request over h11, as ASGI defines it."""
+"""`HttpExchange`: one request over h11, as ASGI defines it.
+
+h11 reads the request, which is not trusted. The answer is written here: h11 would check and sort
+again what this server has made, and take longer for that than for the request.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
 from http import HTTPStatus
 from urllib.parse import unquote
@@ -19,6 +23,8 @@ from fibaction_transports._socket_lines.on_anyio import BROKEN
 
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
+_WITHOUT_BODY = (204, 304)
+"""The statuses of answers that have no body."""
 _ABSOLUTE = re.compile(rb"https?://(?P<host>[^/?#]+)(?P<path>[^#]*)", re.IGNORECASE)
 MOST_EARLY = 2**16
 """Bytes of later requests that are read while one is answered; more are left to the socket."""
@@ -62,6 +68,79 @@ def in_origin_form(request: h11.Request) -> h11.Request:
     return h11.Request(method=request.method, target=path, headers=headers, http_version=http)
 
 
+class HttpAnswer:
+    """The bytes of an answer: its head, and its body, whose end is told by its length, by chunks,
+    or by the end of the connection (RFC 9112, 6.3).
+    """
+
+    def __init__(self, request: h11.Request) -> None:
+        self.has_begun = False
+        self.is_complete = False
+        """True if the answer has its end."""
+        names = {name for name, _ in request.headers}
+        asked = {value.lower() for name, value in request.headers if name == b"connection"}
+        self._is_old = request.http_version < b"1.1"
+        # Another server on the way may have seen another end of the body of a request that tells
+        # two, and so another request behind it (RFC 9112, 6.1). One that offers another protocol
+        # may have begun to speak it.
+        is_unclear = {b"content-length", b"transfer-encoding"} <= names or b"upgrade" in names
+        is_closing = any(b"close" in value for value in asked)
+        self.is_last = self._is_old or is_unclear or is_closing or request.method == b"CONNECT"
+        """True if the connection ends after the answer."""
+        self._is_head = request.method == b"HEAD"
+        self._is_chunked = False
+        self._left: int | None = 0
+        """The bytes of the body that are still to come; None if its length is not known."""
+
+    def begin(self, status: int, headers: Iterable[tuple[bytes, bytes]]) -> bytes:
+        """Return the head of the answer.
+
+        Raises:
+            ValueError: A header has a line break.
+        """
+        lines = [f"HTTP/1.1 {status} {HTTPStatus(status).phrase}".encode()]
+        length: int | None = None
+        for name, value in headers:
+            if name == b"connection":
+                self.is_last |= b"close" in value.lower()
+            elif name != b"transfer-encoding":
+                lines.append(b"%b: %b" % (name, value))
+                if name == b"content-length":
+                    length = int(value)
+        has_body = not self._is_head and status not in _WITHOUT_BODY
+        if length is None and has_body and self._is_old:
+            self.is_last = True
+        elif length is None and status not in _WITHOUT_BODY and not self._is_old:
+            lines.append(b"transfer-encoding: chunked")
+            self._is_chunked = has_body
+        self._left = length if has_body else 0
+        if self.is_last:
+            lines.append(b"connection: close")
+        head = b"\r\n".join((*lines, b"", b""))
+        if any(head.count(end) != len(lines) + 1 for end in (b"\r", b"\n")):
+            raise ValueError("a header of the answer has a line break")
+        self.has_begun = True
+        return head
+
+    def piece(self, body: bytes, *, has_more: bool) -> bytes:
+        """Return a piece of the body.
+
+        Raises:
+            ValueError: The body is longer or shorter than its head says.
+        """
+        if self._left is not None:
+            self._left -= len(body)
+            if self._left < 0 or (self._left and not has_more):
+                raise ValueError(f"the length of the answer is wrong by {abs(self._left)} bytes")
+        if self._is_chunked and body:
+            body = b"%x\r\n%b\r\n" % (len(body), body)
+        if not has_more:
+            self.is_complete = True
+            if self._is_chunked:
+                body += b"0\r\n\r\n"
+        return body
+
+
 class HttpExchange:
     """One request, and its answer."""
 
@@ -77,13 +156,10 @@ class HttpExchange:
     ) -> None:
         self._http = http
         self._stream = stream
-        self._begin: h11.Response | None = None
+        self._answer = HttpAnswer(request)
+        self._head = b""  # of the answer, until its first piece
         self._send_piece = send
         self._has_body = self._is_gone = self._is_cut = False
-        # Another server on the way may have seen another end of the body, and so another request
-        # behind it (RFC 9112, 6.1).
-        names = {name for name, _ in request.headers}
-        self._is_ambiguous = {b"content-length", b"transfer-encoding"} <= names
         self.early = b""
         """The bytes that have arrived behind the request."""
         path, _, query = request.target.partition(b"?")
@@ -110,8 +186,8 @@ class HttpExchange:
         with suppress(h11.RemoteProtocolError):
             if http.their_state is h11.SEND_BODY:
                 http.next_event()  # the end of a request without a body, which nobody has read
-        is_done = http.our_state is h11.DONE and http.their_state is h11.DONE
-        return is_done and not (self._is_gone or self._is_cut)
+        is_done = self._answer.is_complete and http.their_state is h11.DONE
+        return is_done and not (self._answer.is_last or self._is_gone or self._is_cut)
 
     async def receive(self) -> Message:
         """Return the next piece of the body; after it, wait until the client has gone.
@@ -124,8 +200,9 @@ class HttpExchange:
                 if self._has_body:
                     await self._receive_early()
                     continue
-                if self._http.they_are_waiting_for_100_continue:
-                    await self._send(h11.InformationalResponse(status_code=100, headers=[]))
+                if self._http.they_are_waiting_for_100_continue and not self._answer.has_begun:
+                    more = h11.InformationalResponse(status_code=100, headers=[])
+                    await self._send(self._http.send(more) or b"")
                 event = self._http.next_event()
                 if event is h11.NEED_DATA:
                     self._http.receive_data(await self._stream.receive(CHUNK))
@@ -154,26 +231,13 @@ class HttpExchange:
             OSError: The client has gone.
         """
         if message["type"] == "http.response.start":
-            # It is sent with the first piece.
-            status, headers = HTTPStatus(message["status"]), list(message["headers"])
-            if self._is_ambiguous:
-                headers.append((b"connection", b"close"))
-            self._begin = h11.Response(
-                status_code=status, headers=headers, reason=status.phrase.encode()
-            )
+            self._head = self._answer.begin(message["status"], message["headers"])
             return
-        events: list[h11.Event] = []
-        if self._begin is not None:
-            events.append(self._begin)
-            self._begin = None
-        if body := message.get("body", b""):
-            events.append(h11.Data(data=body))
-        if not message.get("more_body", False):
-            events.append(h11.EndOfMessage())
-        await self._send(*events)
+        head, self._head = self._head, b""  # it is sent with the first piece
+        body, has_more = message.get("body", b""), message.get("more_body", False)
+        await self._send(head + self._answer.piece(body, has_more=has_more))
 
-    async def _send(self, *events: h11.Event) -> None:
-        data = b"".join(self._http.send(event) or b"" for event in events)
+    async def _send(self, data: bytes) -> None:
         was_cut, self._is_cut = self._is_cut, True  # unless the client takes all of it
         try:
             await self._send_piece(data)

@@ -316,7 +316,8 @@ class _Connection:
         seconds = self._server.limits.handshake
         server = self._server
         waiting = server.idle if self._has_asked else server.new
-        with anyio.move_on_after(seconds), server.among(waiting, self._place.address):
+        with server.among(waiting, self._place.address) as scope:
+            scope.deadline = anyio.current_time() + seconds
             while (event := self._http.next_event()) is h11.NEED_DATA:
                 await self._receive()
             return in_origin_form(event) if isinstance(event, h11.Request) else None

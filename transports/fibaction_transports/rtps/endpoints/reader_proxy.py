@@ -117,7 +117,7 @@ class ReaderProxy:
 
     def write(self, number: int, sample: StoredSample, now: float) -> None:
         """Send a new sample, or a GAP if the reader does not get it."""
-        if not self.is_reliable or (self.acknowledged >= number - 1 and not self._is_new):
+        if not self.is_reliable or self.acknowledged >= number - 1:
             self.waits_since = now
         self._budget.write(len(sample.payload))
         self._written_at = now
