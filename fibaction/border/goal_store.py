@@ -200,17 +200,17 @@ class NoFleet(ValueError):
         )
 
 
-class KeyPlaces(ABC):
-    """The places for goals that run, of each key of a limit that several servers have together.
+class KeySlots(ABC):
+    """The slots for goals that run, of each key of a limit that several servers have together.
 
-    A server asks for a place before it begins a goal, and gives it back when the executor is gone.
+    A server asks for a slot before it begins a goal, and gives it back when the executor is gone.
     Both show by the numbers that it notes. A key whose goals neither run nor wait takes nothing.
     """
 
     @abstractmethod
     def open(self, granted: Callable[[bytes], None]) -> None:
-        """Use the places from now on. Call `granted` with a key each time one more of its goals may
-        run: before it returns, the goal is noted as one that runs, or the place is given back.
+        """Use the slots from now on. Call `granted` with a key each time one more of its goals may
+        run: before it returns, the goal is noted as one that runs, or the slot is given back.
 
         Raises:
             ValueError: Another schedule of this worker uses them.
@@ -218,15 +218,15 @@ class KeyPlaces(ABC):
 
     @abstractmethod
     def note(self, key: bytes, running: int, asked: int) -> None:
-        """Note how many goals of a key run here, and for how many more there is to be a place."""
+        """Note how many goals of a key run here, and for how many more there is to be a slot."""
 
     @abstractmethod
     def close(self) -> None:
-        """Use the places no longer."""
+        """Use the slots no longer."""
 
 
-OpenKeyPlaces: TypeAlias = Callable[[str, int], Awaitable[KeyPlaces]]
-"""Returns the places of a limit of that name; each key has so many of them."""
+OpenKeySlots: TypeAlias = Callable[[str, int], Awaitable[KeySlots]]
+"""Returns the slots of a limit of that name; each key has so many of them."""
 
 
 def no_obstacle(_goal: StoredGoal) -> str:
@@ -308,7 +308,7 @@ class GoalJournal(PastSource, IntakeSource, ABC):
         """
         return math.inf
 
-    def set_room(self, running: float, waiting: float) -> None:  # most need no room
+    def set_capacity(self, running: float, waiting: float) -> None:  # most need no room
         """Note how many more goals the server can run now, and how many more can wait in its queue.
 
         Both are 0 while the server starts, drains or stops, and `math.inf` without a limit. The
@@ -316,8 +316,8 @@ class GoalJournal(PastSource, IntakeSource, ABC):
         servers share hands over goals by it.
         """
 
-    async def key_places(self, limit: str, most: int) -> KeyPlaces:
-        """Return the places of a limit of that name, which all servers of the store have together;
+    async def key_slots(self, limit: str, most: int) -> KeySlots:
+        """Return the slots of a limit of that name, which all servers of the store have together;
         each key has at most so many. Goals that wait for one stay at this server.
 
         Raises:

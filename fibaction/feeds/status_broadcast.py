@@ -214,6 +214,8 @@ class StatusSubscription(StatusStream):
         self._leave = leave
         self._open = True
         self._error: ActionError | None = None
+        self._passed = 0
+        """The items that were taken or dropped."""
         self._dropped = 0
         self._news = Notifier()
 
@@ -224,7 +226,7 @@ class StatusSubscription(StatusStream):
     def put(self, info: GoalInfo) -> None:
         """Add a change; in a full stream it pushes out the oldest."""
         if len(self._items) >= self._limit:
-            self._items.popleft()
+            self._take()
             self._dropped += 1
         self._items.append(info)
         self._news.notify()
@@ -237,12 +239,22 @@ class StatusSubscription(StatusStream):
 
     async def receive(self) -> GoalInfo | None:
         while not self._items:
-            if not self._open:
+            if not await self._wait():
                 return None
+        return self._take()
+
+    def _take(self) -> GoalInfo:
+        self._passed += 1
+        return self._items.popleft()
+
+    async def _wait(self) -> bool:
+        """Wait for news; return False if the stream has ended."""
+        if self._open:
             if self._error is not None:
                 raise copy_of(self._error)
             await self._news.wait()
-        return self._items.popleft()
+            return True
+        return False
 
     def close(self) -> None:
         self._open = False

@@ -10,7 +10,7 @@ from fibaction.words.goal_steps import GoalStep, GoalSteps
 from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
-    from fibaction.server.durability.keeper import Checkpoints
+    from fibaction.server.durability.keeper import Keeper
     from fibaction.server.execution.running_goal import RunningGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender
@@ -49,13 +49,13 @@ class GoalHandle(Generic[GoalT]):
             yield "arrived"
     """
 
-    __slots__ = ("_checkpoints", "_goal", "_succession", "request", "restored", "running", "steps")
+    __slots__ = ("_goal", "_keeper", "_succession", "request", "restored", "running", "steps")
 
     def __init__(
         self,
         goal: GoalRecord,
         request: GoalT,
-        checkpoints: Checkpoints,
+        keeper: Keeper,
         succession: Succession[GoalT],
         restored: Any = None,
     ) -> None:
@@ -64,7 +64,7 @@ class GoalHandle(Generic[GoalT]):
         self.restored = restored
         """The last checkpoint of the attempt before this one; None if there is none."""
         self._goal = goal
-        self._checkpoints = checkpoints
+        self._keeper = keeper
         self._succession = succession
         self.steps: GoalSteps | None = None
         """The steps of this attempt; None before the first."""
@@ -193,7 +193,7 @@ class GoalHandle(Generic[GoalT]):
             StoreError: It cannot be kept, and the server stops; or another server has taken the
                 goal over, and this executor is interrupted.
         """
-        await self._checkpoints.keep(self._goal, state)
+        await self._keeper.keep_checkpoint(self._goal, state)
 
     # The goal that comes next
 

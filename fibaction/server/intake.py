@@ -90,7 +90,7 @@ class Capacity:
         has_room = running > 0, waiting > 0
         if has_room != self._told:
             self._told = has_room
-            self._keeper.set_room(running, waiting)
+            self._keeper.set_capacity(running, waiting)
 
     def watch(self, tasks: TaskGroup) -> None:
         """Look again after a shortage of bytes, in a task of this group."""

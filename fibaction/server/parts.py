@@ -145,7 +145,7 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
         await self.levers.look()
         await self.recovery.check()
         keeper = self.keeper
-        await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_places)
+        await self.dispatcher.open(tasks, self.runs, keeper.look_at_capacity, keeper.key_slots)
         # Their tasks wait for `stop`, so nothing may fail from here on.
         self.runs.open(tasks, held=held)
         self.keeper.start(tasks, self.recovery.open, self.capacity.watch)

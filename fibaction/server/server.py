@@ -204,11 +204,12 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         Raises:
             ValueError: Goals are to be kept at a stop, and there is no store.
         """
-        settings = self._settings
+        settings, action = self._settings, self.action
         if self.store is not None:
             return GoalKeeper(
                 self.store,
-                self.action.name,
+                action.name,
+                action.checkpoint,
                 result_timeout=settings.result_timeout,
                 given_up_timeout=settings.given_up_timeout,
                 max_results=settings.max_results,
@@ -218,10 +219,10 @@ class ActionServer(Endpoint, Generic[GoalT, FeedbackT, ResultT]):
         if settings.recovery != "abort":
             logger.warning(
                 "action server %r has no store, so its `recovery` has no effect: %s",
-                self.action.name,
+                action.name,
                 ADD_A_STORE,
             )
-        return Keeper(self.action.name)
+        return Keeper(action.name, action.checkpoint)
 
     async def __aexit__(
         self,

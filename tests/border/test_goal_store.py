@@ -55,7 +55,7 @@ async def test_a_store_of_one_server_has_no_limits_for_a_fleet(tmp_path: Path) -
     store = SqliteStore(tmp_path / "goals.db")
     async with store.open("paint", max_results=9, claim=print, lose=print) as journal:
         with pytest.raises(NoFleet, match="fleet_limit='arms' needs a fleet"):
-            await journal.key_places("arms", 1)
+            await journal.key_slots("arms", 1)
 
 
 def test_a_list_of_a_history_has_all_of_a_goal_but_its_request_and_its_result() -> None:

@@ -141,7 +141,7 @@ async def _begins_a_goal(worker: WorkerProcess) -> None:
 
 
 async def lose_places(scene: Scene) -> list[Loss]:
-    """Kill a worker whose goals have places of keys."""
+    """Kill a worker whose goals have slots of keys."""
     killed, *_ = scene.workers
     await _begins_a_goal(killed)
     losses = [Loss(killed.name, time.time(), scene.lease + GRACE)]

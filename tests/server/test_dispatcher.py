@@ -479,7 +479,7 @@ async def test_without_a_schedule_a_goal_begins_when_it_is_accepted_unless_the_s
     goals: Any = SimpleNamespace(begin=begun.append)
     tasks: Any = None  # it needs none
     dispatcher: Dispatcher[int] = Dispatcher()
-    await dispatcher.open(tasks, goals, lambda: None, Keeper("work").key_places)
+    await dispatcher.open(tasks, goals, lambda: None, Keeper("work").key_slots)
     one, other = GoalID.random(), GoalID.random()
     dispatcher.accepted(one)
     dispatcher.close()

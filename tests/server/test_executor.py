@@ -15,7 +15,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
 from fibaction.feeds.feedback_log import FeedbackLog
-from fibaction.server.durability.keeper import Checkpoints, Keeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.execution.executor import Execution, Executor
 from fibaction.server.execution.interruption import CancelOnce
 from fibaction.server.execution.watchdog import Watch
@@ -28,7 +28,7 @@ from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.forms import FORMS, as_function
 
-NO_CHECKPOINTS = Checkpoints("fibonacci", None, Keeper("fibonacci"))
+NO_CHECKPOINTS = Keeper("fibonacci")
 
 pytestmark = pytest.mark.anyio
 

@@ -22,7 +22,7 @@ from fibaction import (
     Schedule,
     SqliteStore,
 )
-from fibaction.border.goal_store import KeyPlaces, NoFleet
+from fibaction.border.goal_store import KeySlots, NoFleet
 from fibaction.server.scheduling.fleet_scheduler import NO_KEY, FleetScheduler, portable
 from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
 from tests.support.memory_store import MemoryJournal, MemoryStore
@@ -33,7 +33,7 @@ GRASP = Action("grasp", goal=str, feedback=int, result=str)
 ONE: Any = {"concurrency": 1, "queue": 3, "fleet_limit": "arms"}
 
 
-class Places(KeyPlaces):
+class Slots(KeySlots):
     """Places that note what they are told."""
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Played:
     """A scheduler, and its places."""
 
     def __init__(self, **settings: Any) -> None:
-        self.places = Places()
+        self.places = Slots()
         self.scheduler = FleetScheduler(Schedule(**ONE | settings), self.places, kill_after=3)
 
     def offer(self, goal_id: GoalID, key: bytes = b"x", **terms: Any) -> list[Order]:
@@ -220,14 +220,14 @@ class Worker:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.store = MemoryStore()
-        self.places = Places()
+        self.places = Slots()
         self.opened: list[tuple[str, int]] = []
 
-        async def key_places(_journal: MemoryJournal, limit: str, most: int) -> KeyPlaces:
+        async def key_slots(_journal: MemoryJournal, limit: str, most: int) -> KeySlots:
             self.opened.append((limit, most))
             return self.places
 
-        monkeypatch.setattr(MemoryJournal, "key_places", key_places)
+        monkeypatch.setattr(MemoryJournal, "key_slots", key_slots)
 
     def server(
         self, schedule: Schedule, action: Action[str, int, str] = MOVE, **settings: Any
@@ -338,7 +338,7 @@ async def test_servers_of_one_worker_may_share_a_schedule(worker: Worker) -> Non
 async def test_a_schedule_of_two_workers_is_an_error(worker: Worker) -> None:
     schedule = Schedule(**ONE)
     async with worker.server(schedule):
-        worker.places, first = Places(), worker.places
+        worker.places, first = Slots(), worker.places
         with pytest.raises(ValueError, match="are served by one worker: give each worker a"):
             await worker.server(schedule, GRASP).__aenter__()
         assert first.is_open

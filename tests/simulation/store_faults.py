@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.cancels import Cancels
 from fibaction.server.durability.goal_keeper import GoalKeeper
-from fibaction.server.durability.keeper import Checkpoints, Keeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.durability.stored_goals import LostAttempts
 from fibaction.server.execution import runs
@@ -145,8 +145,8 @@ def a_cancel_is_forgotten_at_a_restart(real: Any, self: AnyRecovery, stored: Sto
     real(self, stored)
 
 
-@mistake(Checkpoints, "restored", 47, 52, 54)
-def no_checkpoint_is_restored(_real: Any, self: Checkpoints, stored: StoredGoal) -> Any:
+@mistake(Keeper, "restored", 47, 52, 54)
+def no_checkpoint_is_restored(_real: Any, self: Keeper, stored: StoredGoal) -> Any:
     """Begin each attempt from nothing."""
     return None
 

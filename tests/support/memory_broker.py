@@ -317,11 +317,6 @@ class MemoryBroker(Broker):
         self._sent_until = -math.inf
 
     @property
-    def reconnected_at(self) -> float:
-        """See `Broker.reconnected_at`; clients come back first in no simulation."""
-        return -math.inf
-
-    @property
     def is_connected(self) -> bool:
         """See `Broker.is_connected`."""
         return not self._is_away

@@ -227,8 +227,8 @@ class MemoryJournal(GoalJournal):
         """See `GoalJournal.valid_until`."""
         return self._store.valid_until()
 
-    def set_room(self, running: float, waiting: float) -> None:
-        """See `GoalJournal.set_room`."""
+    def set_capacity(self, running: float, waiting: float) -> None:
+        """See `GoalJournal.set_capacity`."""
         self._store.rooms.append((running, waiting))
 
     def accept(self, goal: StoredGoal, then: Then) -> None:

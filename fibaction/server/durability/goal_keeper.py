@@ -35,7 +35,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from heapq import heappop, heappush
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from anyio import CancelScope, current_time, move_on_after
 from anyio.abc import TaskGroup
@@ -48,7 +48,7 @@ from fibaction.border.goal_store import (
     GoalJournal,
     GoalStore,
     GoalTaken,
-    KeyPlaces,
+    KeySlots,
     RecordTooLarge,
     StoredGoal,
     Then,
@@ -69,6 +69,7 @@ from fibaction.words.statuses import GoalStatus
 if TYPE_CHECKING:
     from fibaction.server.execution.executor import AnyRun
     from fibaction.server.registry.goal_record import AnyOffer, GoalRecord
+    from fibaction.types.action import Codec
 
 OUTCOME_GRACE = 60.0
 """Seconds for which a store keeps an outcome beyond the result timeout: the client may have waited
@@ -101,6 +102,7 @@ class GoalKeeper(Keeper):
         self,
         store: GoalStore,
         action: str,
+        checkpoints: Codec[Any] | None = None,
         *,
         result_timeout: float,
         given_up_timeout: float,
@@ -109,7 +111,7 @@ class GoalKeeper(Keeper):
         """Keep outcomes for so many seconds, goals that were given up for as many others, and so
         many of each at most.
         """
-        super().__init__(action, LIFE)
+        super().__init__(action, checkpoints, LIFE)
         self._store = store
         self._outcome_time = result_timeout + OUTCOME_GRACE
         self._given_up_time = given_up_timeout
@@ -161,11 +163,11 @@ class GoalKeeper(Keeper):
     def look_at_capacity(self) -> None:
         self._events.look_at_capacity()
 
-    def set_room(self, running: float, waiting: float) -> None:
-        self._journal.set_room(running, waiting)
+    def set_capacity(self, running: float, waiting: float) -> None:
+        self._journal.set_capacity(running, waiting)
 
-    async def key_places(self, limit: str, most: int) -> KeyPlaces:
-        return await self._journal.key_places(limit, most)
+    async def key_slots(self, limit: str, most: int) -> KeySlots:
+        return await self._journal.key_slots(limit, most)
 
     @property
     def has_lease(self) -> bool:  # type: ignore[override]  # it can only be read
@@ -234,7 +236,7 @@ class GoalKeeper(Keeper):
 
         return self._write(self._journal.checkpoint, goal, stored, None, too_large)
 
-    async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
+    async def _keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
         stored = goal.stored
         if not goal.phase.is_open or stored is None:
             raise RuntimeError(f"goal {goal.goal_id} has ended, and keeps no checkpoint")

@@ -3,8 +3,6 @@
 `GoalKeeper` writes to a store: what a write says is told only when it is kept. For a `Keeper`
 itself, all is kept at once, as long as the server runs: its goals live by the table without writes
 (see `life`).
-
-`Checkpoints` are the states that executors keep.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from fibaction.words.errors import ProtocolError
 if TYPE_CHECKING:
     from anyio.abc import TaskGroup
 
-    from fibaction.border.goal_store import KeyPlaces, StoredGoal
+    from fibaction.border.goal_store import KeySlots, StoredGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.types.action import Codec
     from fibaction.words.errors import StoreError
@@ -79,13 +77,17 @@ class Keeper:
     """The source of the goals of the past, once the keeper is open."""
 
     def __init__(
-        self, action: str, table: Mapping[tuple[Phase, Event], Step] = LIFE_IN_MEMORY
+        self,
+        action: str,
+        checkpoints: Codec[Any] | None = None,
+        table: Mapping[tuple[Phase, Event], Step] = LIFE_IN_MEMORY,
     ) -> None:
         self.life = Life(table)
         """The lives of the goals, by a table in which each step is kept before it is told."""
         self.intakes = IntakeSource()
         """The source of how the action takes goals, once the keeper is open."""
         self._action = action
+        self._checkpoints = checkpoints
         self._has_warned = False
 
     def open(self, tasks: TaskGroup, events: KeeperEvents) -> AbstractAsyncContextManager[None]:
@@ -105,11 +107,11 @@ class Keeper:
     def look_at_capacity(self) -> None:
         """Let the store know if the room of the server has changed."""
 
-    def set_room(self, running: float, waiting: float) -> None:
+    def set_capacity(self, running: float, waiting: float) -> None:
         """Tell the store how many more goals the server can run and queue."""
 
-    async def key_places(self, limit: str, most: int) -> KeyPlaces:
-        """See `GoalJournal.key_places`.
+    async def key_slots(self, limit: str, most: int) -> KeySlots:
+        """See `GoalJournal.key_slots`.
 
         Raises:
             ValueError: There is no fleet.
@@ -117,13 +119,30 @@ class Keeper:
         """
         raise NoFleet(limit)
 
-    async def keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
-        """Keep a checkpoint, which `encode` returns, and wait until it is kept. Without a store
-        there is no next attempt, and the first call warns of that.
+    async def keep_checkpoint(self, goal: GoalRecord, state: object) -> None:
+        """Keep the state of a goal, and wait until it is kept.
 
         Raises:
+            TypeError: The action has no type for checkpoints, or the state is not of it.
             RuntimeError: The goal has ended.
             StoreError: It cannot be kept, or the goal belongs to another server by now.
+        """
+        codec = self._checkpoints
+        if codec is None:
+            raise TypeError(
+                f"action {self._action!r} has no checkpoints: give their type to its Action, as"
+                f" `checkpoint=`"
+            )
+        if not codec.accepts(state):
+            raise TypeError(
+                f"a checkpoint of action {self._action!r} is of type"
+                f" {codec.type_text}, not {excerpt(repr(state))}"
+            )
+        await self._keep_state(goal, partial(codec.encode, state))
+
+    async def _keep_state(self, goal: GoalRecord, encode: Callable[[], bytes]) -> None:
+        """Keep a checkpoint, which `encode` returns. Without a store there is no next attempt, and
+        the first call warns of that.
         """
         if not self._has_warned:
             self._has_warned = True
@@ -132,6 +151,18 @@ class Keeper:
                 self._action,
                 ADD_A_STORE,
             )
+
+    def restored(self, stored: StoredGoal) -> Any:
+        """Return the last checkpoint of a goal; None if there is none.
+
+        Raises:
+            ProtocolError: It is not of the type of checkpoints.
+        """
+        if stored.checkpoint is None:
+            return None
+        if self._checkpoints is None:
+            raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
+        return self._checkpoints.decode(stored.checkpoint)
 
     def check(self) -> None:
         """Check that goals can be kept.
@@ -152,45 +183,3 @@ class Keeper:
 
     async def settled_within(self, seconds: float) -> None:
         """Wait for that, for some seconds at most, even if the caller is canceled."""
-
-
-class Checkpoints:
-    """The checkpoints of the goals of one server."""
-
-    def __init__(self, action: str, codec: Codec[Any] | None, keeper: Keeper) -> None:
-        self._action = action
-        self._codec = codec
-        self._keeper = keeper
-
-    async def keep(self, goal: GoalRecord, state: object) -> None:
-        """Keep the state of a goal, and wait until it is kept.
-
-        Raises:
-            TypeError: The action has no type for checkpoints, or the state is not of it.
-            RuntimeError: The goal has ended.
-            StoreError: It cannot be kept, or the goal belongs to another server by now.
-        """
-        codec = self._codec
-        if codec is None:
-            raise TypeError(
-                f"action {self._action!r} has no checkpoints: give their type to its Action, as"
-                f" `checkpoint=`"
-            )
-        if not codec.accepts(state):
-            raise TypeError(
-                f"a checkpoint of action {self._action!r} is of type"
-                f" {codec.type_text}, not {excerpt(repr(state))}"
-            )
-        await self._keeper.keep_state(goal, partial(codec.encode, state))
-
-    def restored(self, stored: StoredGoal) -> Any:
-        """Return the last checkpoint of a goal; None if there is none.
-
-        Raises:
-            ProtocolError: It is not of the type of checkpoints.
-        """
-        if stored.checkpoint is None:
-            return None
-        if self._codec is None:
-            raise ProtocolError(f"action {self._action!r} has no checkpoints any more")
-        return self._codec.decode(stored.checkpoint)

@@ -101,7 +101,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         self._lost_attempts = LostAttempts(action, settings)
         self.readable = ReadableCheck(
             action,
-            runs.checkpoints,
+            runs.keeper,
             dispatcher,
             self._lost_attempts,
             refuses=settings.unreadable == "refuse",
@@ -192,7 +192,7 @@ class Recovery(Generic[GoalT, FeedbackT, ResultT]):
         )
         try:
             request = self._action.goal.decode(stored.goal)
-            restored = self._runs.checkpoints.restored(stored)
+            restored = self._runs.keeper.restored(stored)
         except ProtocolError as exc:
             reason = f"the stored goal does not fit the action any more: {exc}"
             nothing = cast("GoalT", None)  # no executor gets it

@@ -22,7 +22,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.server.admission.callbacks import awaited, failures_as
-from fibaction.server.durability.keeper import Checkpoints, Keeper
+from fibaction.server.durability.keeper import Keeper
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.goal_logs import GoalLogs
 from fibaction.server.registry.goal_record import Ending, EndKind
@@ -118,14 +118,14 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
     def __init__(
         self,
         action: Action[GoalT, FeedbackT, ResultT],
-        checkpoints: Checkpoints,
+        keeper: Keeper,
         dispatcher: Dispatcher[GoalT],
         lost_attempts: LostAttempts[GoalT, FeedbackT, ResultT],
         *,
         refuses: bool,
     ) -> None:
         self._action = action
-        self._checkpoints = checkpoints
+        self._keeper = keeper
         self._dispatcher = dispatcher
         self._lost_attempts = lost_attempts
         self._refuses = refuses
@@ -164,7 +164,7 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
         """Return why a goal cannot run; empty if it can."""
         try:
             request = self._action.goal.decode(stored.goal)
-            self._checkpoints.restored(stored)
+            self._keeper.restored(stored)
         except ProtocolError as exc:
             return str(exc)
         return self._dispatcher.failure_of(request, stored.sender)

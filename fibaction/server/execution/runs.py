@@ -43,12 +43,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
 from fibaction.border.event_loop import Slices
-from fibaction.server.durability.keeper import (
-    GOAL_IS_KEPT,
-    GOAL_IS_TAKEN,
-    STORE_FAILED,
-    Checkpoints,
-)
+from fibaction.server.durability.keeper import GOAL_IS_KEPT, GOAL_IS_TAKEN, STORE_FAILED
 from fibaction.server.execution.executor import Execution, ExecutorPhase, Fence, Run, Runner
 from fibaction.server.execution.executor_ends import CANCELED_UNASKED, is_kept
 from fibaction.server.execution.interruption import CancelOnce
@@ -105,10 +100,9 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self._held: dict[GoalID, None] = {}  # those that have their turn, and begin after a pause
         self._registry = registry
         self._logs = logs
-        self._keeper = keeper
+        self.keeper = keeper
+        """The writes about the goals."""
         self._dispatcher = dispatcher
-        self.checkpoints = Checkpoints(action.name, action.checkpoint, keeper)
-        """The checkpoints of the goals."""
         self.lost = LostExecutors(
             action.name, keeper, kill_after=settings.shutdown_timeout, kill=self.kill
         )
@@ -136,7 +130,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self.suspects = suspects_here()
         self.suspects.join(self)
         tasks.start_soon(self.lost.run, name=f"lost goals of {self._action.name}")
-        if self._keeper.has_lease:
+        if self.keeper.has_lease:
             self._fence = self.lost.fence
 
     # Start
@@ -161,7 +155,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         checkpoint `restored`; it runs with the context variables of `context`, or of the caller.
         """
         log = self._logs.open(goal, payload)
-        handle = GoalHandle(goal, request, self.checkpoints, self._dispatcher, restored)
+        handle = GoalHandle(goal, request, self.keeper, self._dispatcher, restored)
         execution = Execution(
             self._action, self._runner, handle, log, self._stall_timeout, self._watch, context
         )
@@ -225,7 +219,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
 
     def note_suspects(self) -> None:
         """See `suspects.Server`."""
-        self._keeper.look_at_capacity()
+        self.keeper.look_at_capacity()
 
     def _call(self, run: Run[GoalT, FeedbackT, ResultT]) -> None:
         assert run.execution.phase < CALLED  # an executor runs once, and not after an interruption
@@ -417,7 +411,7 @@ class Runs(Generic[GoalT, FeedbackT, ResultT]):
         self, run: Run[GoalT, FeedbackT, ResultT], ending: Ending, *, killed: bool = False
     ) -> None:
         goal = run.goal
-        if self._keeper.failure is not None:
+        if self.keeper.failure is not None:
             self._release(run, GoalKept(STORE_FAILED))
         elif goal.stop_reason in self._kept_for and is_kept(goal, ending, killed=killed):
             # Also one that waits: where servers share a store, it is free for the others then.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from anyio.abc import TaskGroup
 
-    from fibaction.border.goal_store import OpenKeyPlaces
+    from fibaction.border.goal_store import OpenKeySlots
     from fibaction.server.goal_handle import GoalHandle
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender
@@ -46,11 +46,11 @@ class Dispatcher(Succession[GoalT]):
         tasks: TaskGroup,
         goals: DispatchedGoals[GoalT],
         changed: Callable[[], None],
-        key_places: OpenKeyPlaces,
+        key_slots: OpenKeySlots,
     ) -> None:
         """Start, interrupt and end these goals from now on, in tasks of this group. Call `changed`
         when a place has become free. A limit that other servers have as well gets its places from
-        `key_places`.
+        `key_slots`.
 
         Raises:
             RuntimeError, ValueError: The schedule cannot be shared with others.

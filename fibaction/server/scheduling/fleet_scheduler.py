@@ -1,20 +1,20 @@
-"""`FleetScheduler`: a scheduler whose goals also need a place that servers elsewhere may take.
+"""`FleetScheduler`: a scheduler whose goals also need a slot that servers elsewhere may take.
 
 Theory of operation
 -------------------
 
 With a `fleet_limit`, the goals of a key that run are counted at all workers of a fleet. So a goal
-never starts at once: it waits, and the scheduler asks for a place of its key (`KeyPlaces`). When
-the place is granted, the goal starts that comes first by then. When it has left, its place is given
+never starts at once: it waits, and the scheduler asks for a slot of its key (`KeySlots`). When
+the slot is granted, the goal starts that comes first by then. When it has left, its slot is given
 back, and the next goal needs another one: between two goals of a worker, others have their turn.
 
-A place is asked for only if the goal could start here. Until it is granted, it counts as if the
-goal ran, for `concurrency` and `total`. So a granted place is used at once, and no worker holds a
-place of the fleet while it waits for something of its own. That order, first here and then in the
+A slot is asked for only if the goal could start here. Until it is granted, it counts as if the
+goal ran, for `concurrency` and `total`. So a granted slot is used at once, and no worker holds a
+slot of the fleet while it waits for something of its own. That order, first here and then in the
 fleet, is the same at all workers: so they cannot wait for each other in a circle.
 
-The places are told two numbers for each key: the goals that run, and those asked for. Each event
-ends with them (`_note`). A place that is granted, and that no goal needs any longer, is given back
+The slots are told two numbers for each key: the goals that run, and those asked for. Each event
+ends with them (`_note`). A slot that is granted, and that no goal needs any longer, is given back
 by that.
 
 A goal gives way to no other one that runs: with a `fleet_limit`, no schedule preempts.
@@ -29,7 +29,7 @@ from typing import Any
 import msgspec
 
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import KeyPlaces
+from fibaction.border.goal_store import KeySlots
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduled_goals import Act, Entry, Group, Order
 from fibaction.server.scheduling.scheduler import Scheduler
@@ -44,15 +44,15 @@ class FleetScheduler(Scheduler):
     """
 
     def __init__(
-        self, schedule: Schedule, places: KeyPlaces, *, kill_after: float = math.inf
+        self, schedule: Schedule, slots: KeySlots, *, kill_after: float = math.inf
     ) -> None:
-        """Start goals by places of the fleet."""
+        """Start goals by slots of the fleet."""
         super().__init__(schedule, kill_after=kill_after)
-        self.key_places = places
+        self.key_slots = slots
         self._asked = 0
 
     def granted(self, key: bytes, now: float) -> list[Order]:
-        """Start a goal of a key, which has a place now; if none waits any longer, do nothing."""
+        """Start a goal of a key, which has a slot now; if none waits any longer, do nothing."""
         group = self._groups.get(key or None)
         if group is None or not group.asked:
             return []
@@ -89,7 +89,7 @@ class FleetScheduler(Scheduler):
         self._note(entry.group)
 
     def _start_waiting(self, now: float) -> list[Order]:
-        """Ask for places for the goals that come first, and start none of them yet."""
+        """Ask for slots for the goals that come first, and start none of them yet."""
         total = self._schedule.total
         while self._heads and (total is None or self._running + self._asked < total):
             urgency, group = heappop(self._heads)
@@ -110,12 +110,12 @@ class FleetScheduler(Scheduler):
         return group.asked < len(group.queue) and wanted < concurrency
 
     def _note(self, group: Group) -> None:
-        """Tell the places what a group has and needs, after a goal has started or left."""
+        """Tell the slots what a group has and needs, after a goal has started or left."""
         surplus = max(group.asked - len(group.queue), 0)
         group.asked -= surplus
         self._asked -= surplus
         assert isinstance(group.key, bytes | None)
-        self.key_places.note(group.key or NO_KEY, len(group.running), group.asked)
+        self.key_slots.note(group.key or NO_KEY, len(group.running), group.asked)
 
 
 def portable(key: Any) -> bytes:

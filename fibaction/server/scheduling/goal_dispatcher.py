@@ -38,7 +38,7 @@ from anyio.abc import TaskGroup
 
 from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import excerpt
-from fibaction.border.goal_store import OpenKeyPlaces
+from fibaction.border.goal_store import OpenKeySlots
 from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.abandoned import warn_of_kill
@@ -98,10 +98,10 @@ class GoalDispatcher(Dispatcher[GoalT]):
         tasks: TaskGroup,
         goals: DispatchedGoals[GoalT],
         changed: Callable[[], None],
-        key_places: OpenKeyPlaces,
+        key_slots: OpenKeySlots,
     ) -> None:
         self._goals, self._changed = goals, changed
-        self._shared = await self._join(key_places)
+        self._shared = await self._join(key_slots)
         tasks.start_soon(self._keep_time, name=f"schedule of {self._action}")
 
     def start(self) -> None:
@@ -110,14 +110,14 @@ class GoalDispatcher(Dispatcher[GoalT]):
             self._shared.scheduler.restart(self, current_time())
             self._news_of_start.notify()
 
-    async def _join(self, key_places: OpenKeyPlaces) -> SharedScheduler:
+    async def _join(self, key_slots: OpenKeySlots) -> SharedScheduler:
         """Return the scheduler of all servers with this schedule."""
         schedule = self._schedule
         if not schedule.fleet_limit:
             return SharedScheduler.join(schedule, self)
         assert schedule.concurrency is not None
-        places = await key_places(schedule.fleet_limit, schedule.concurrency)
-        return SharedScheduler.join(schedule, self, places)
+        slots = await key_slots(schedule.fleet_limit, schedule.concurrency)
+        return SharedScheduler.join(schedule, self, slots)
 
     # Goals
 

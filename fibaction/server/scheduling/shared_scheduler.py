@@ -8,7 +8,7 @@ one arm, for example. Mostly it is one server. Each has a dispatcher, which `joi
 which owns its goals at the scheduler. The orders of the scheduler may concern goals of any of them,
 so `carry_out` gives each to the owner of its goal.
 
-With a `fleet_limit`, the scheduler is a `FleetScheduler`, by the places of this worker's store.
+With a `fleet_limit`, the scheduler is a `FleetScheduler`, by the slots of this worker's store.
 
 Any of the dispatchers may keep the time. All of them wait for the same `news`, so those that are
 left still do when one quits.
@@ -24,7 +24,7 @@ from weakref import WeakValueDictionary
 from anyio import current_time
 
 from fibaction._runtime.notify import Notifier
-from fibaction.border.goal_store import KeyPlaces
+from fibaction.border.goal_store import KeySlots
 from fibaction.server.scheduling.fleet_scheduler import FleetScheduler
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduled_goals import Order
@@ -47,7 +47,7 @@ class Member(Protocol):
 class SharedScheduler:
     """The scheduler of one schedule, and the members that own its goals."""
 
-    def __init__(self, schedule: Schedule, kill_after: float, places: KeyPlaces | None) -> None:
+    def __init__(self, schedule: Schedule, kill_after: float, slots: KeySlots | None) -> None:
         self.scheduler: Scheduler
         """The rules, which know the goals of all members."""
         self.news = Notifier()
@@ -55,21 +55,21 @@ class SharedScheduler:
         self.wake_at = 0.0
         self._schedule = schedule  # so that its ID is not that of another one meanwhile
         self._kill_after = kill_after
-        self._places = places
+        self._slots = slots
         self._thread = threading.get_ident()
         self._members: list[Member] = []
-        if places is None:
+        if slots is None:
             self.scheduler = Scheduler(schedule, kill_after=kill_after)
         else:
-            fleet = self.scheduler = FleetScheduler(schedule, places, kill_after=kill_after)
-            places.open(lambda key: self.carry_out(fleet.granted(key, current_time())))
+            fleet = self.scheduler = FleetScheduler(schedule, slots, kill_after=kill_after)
+            slots.open(lambda key: self.carry_out(fleet.granted(key, current_time())))
 
     @classmethod
     def join(
-        cls, schedule: Schedule, member: Member, places: KeyPlaces | None = None
+        cls, schedule: Schedule, member: Member, slots: KeySlots | None = None
     ) -> SharedScheduler:
         """Let a member use the scheduler of a schedule object from now on, and return it. The first
-        one makes it; `places` are those of the fleet, with a `fleet_limit`.
+        one makes it; `slots` are those of the fleet, with a `fleet_limit`.
 
         Raises:
             ValueError: The member kills executors after another time than those that are there, or
@@ -78,7 +78,7 @@ class SharedScheduler:
         """
         shared = _shared.get(id(schedule))
         if shared is None or not shared._members:
-            shared = _shared[id(schedule)] = cls(schedule, member.kill_after, places)
+            shared = _shared[id(schedule)] = cls(schedule, member.kill_after, slots)
         if shared._kill_after != member.kill_after:
             raise ValueError(
                 f"servers that share a schedule have the same shutdown_timeout, not"
@@ -89,7 +89,7 @@ class SharedScheduler:
                 "a server in another thread has the same Schedule object, and cannot share its"
                 " limits: give each thread a Schedule of its own"
             )
-        if shared._places is not places:
+        if shared._slots is not slots:
             raise ValueError(
                 f"servers that share a schedule with fleet_limit={schedule.fleet_limit!r} are"
                 f" served by one worker: give each worker a Schedule of its own"
@@ -102,8 +102,8 @@ class SharedScheduler:
         for goal_id in self.scheduler.goals_of(member):
             self.leave(member, goal_id, now)
         self._members.remove(member)
-        if self._places is not None and not self._members:
-            self._places.close()
+        if self._slots is not None and not self._members:
+            self._slots.close()
 
     def leave(self, member: Member, goal_id: GoalID, now: float) -> None:
         """Remove a goal, unless the member has no such goal here."""

@@ -38,7 +38,6 @@ from typing import Any
 
 import anyio
 
-from fibaction._runtime.text import shortened
 from fibaction.border.abc import Absence, Connection, Endpoint, GoalRequest, LogLine
 from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
@@ -56,8 +55,6 @@ from fibaction.wire.messages import (
     Actions,
     AskPeers,
     AwaitServer,
-    CancelAnswered,
-    CancelGoals,
     Done,
     Ended,
     Follow,
@@ -80,7 +77,7 @@ from fibaction.words.errors import (
     ServerNotFound,
 )
 from fibaction.words.goal_query import PastPage
-from fibaction.words.goals import ActionPeers, CancelAnswer, CancelCode, GoalID, GoalInfo
+from fibaction.words.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo
 from fibaction.words.intake import Intake, IntakeChange
 
 OPEN_TIMEOUT = 5.0
@@ -267,15 +264,7 @@ class RemoteEndpoint(Endpoint):
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
-        if stamp:  # 0 is not a stamp; a number that cannot be sent keeps its meaning
-            stamp = min(max(stamp, 1), LARGEST)
-        answer: CancelAnswered = await self._calls.ask(
-            lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
-        )
-        goals = tuple(
-            GoalInfo(GoalID(goal), accepted, status) for goal, accepted, status in answer.goals
-        )
-        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
+        return await self._calls.cancel(self._info.name, goal_id, stamp)
 
     async def status(self) -> RemoteStatuses:
         return await self._calls.follow_statuses(self._info.name)

@@ -26,6 +26,7 @@ from functools import partial
 from typing import Any
 from weakref import WeakValueDictionary
 
+from fibaction._runtime.text import shortened
 from fibaction.border.abc import GoalRequest, LogLine
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest, unfitting
@@ -36,9 +37,12 @@ from fibaction.wire.errors import error_of, sendable
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
+    LARGEST,
     AskLog,
     AskPlaces,
     AwaitServer,
+    CancelAnswered,
+    CancelGoals,
     Done,
     Failed,
     Finished,
@@ -65,8 +69,8 @@ from fibaction.words.errors import (
     TransportError,
     copy_of,
 )
-from fibaction.words.goal_query import MOST_PAST, PastPage
-from fibaction.words.goals import GoalID, GoalInfo
+from fibaction.words.goal_query import MOST_PAST, PastPage, place_of
+from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.intake import MOST_CHANGES, OPEN_INTAKE, Intake, IntakeChange
 from fibaction.words.meta import checked_meta
 
@@ -75,12 +79,8 @@ BURST = 32
 the same time."""
 
 
-OPERATE = 28
-"""The tag of `Operate`, which servers of earlier versions do not know."""
-RERUN = 29
-"""The tag of `Rerun`, which servers of earlier versions do not know."""
-ASK_LOG = 30
-"""The tag of `AskLog`, which servers of earlier versions do not know."""
+OPERATE, RERUN, ASK_LOG = 28, 29, 30
+"""The tags of `Operate`, `Rerun` and `AskLog`, which servers of earlier versions do not know."""
 
 
 class PastCall(Call):
@@ -125,11 +125,6 @@ class PastCall(Call):
         """The goals that have come, in the order of the page."""
         infos = [info for info in self._infos if self._page.has(info)]
         return sorted(infos, key=place_of, reverse=self._page.newest_first)
-
-
-def place_of(info: GoalInfo) -> tuple[int, bytes]:
-    """Return the place of a goal in the order of acceptance."""
-    return info.stamp, info.goal_id
 
 
 class OpenCalls:
@@ -250,6 +245,20 @@ class OpenCalls:
             statuses.close()
             raise
         return statuses
+
+    async def cancel(self, action: str, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
+        """Cancel the goals of an action that an ID and a stamp mean.
+
+        Raises:
+            ActionError: As for `ask`.
+        """
+        if stamp:  # 0 is not a stamp; a number that cannot be sent keeps its meaning
+            stamp = min(max(stamp, 1), LARGEST)
+        answer: CancelAnswered = await self.ask(
+            lambda call_id: CancelGoals(call_id, action, goal_id, stamp), CancelAnswered
+        )
+        goals = tuple(GoalInfo(GoalID(one), when, status) for one, when, status in answer.goals)
+        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
 
     async def operate(self, action: str, change: IntakeChange | None = None) -> Intake:
         """Change how an action takes goals, or only ask; that of an older server is open.

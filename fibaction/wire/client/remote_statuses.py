@@ -24,15 +24,13 @@ follower has a queue; in a full queue the oldest change gives way, and is counte
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
 from msgspec.structs import replace
 
-from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import LENGTH, excerpt, shortened
-from fibaction.border.abc import StatusStream
+from fibaction.feeds.status_broadcast import StatusSubscription
 from fibaction.wire.client.calls import Call, Credits, Post, unfitting
 from fibaction.wire.errors import error_of
 from fibaction.wire.messages import (
@@ -46,7 +44,7 @@ from fibaction.wire.messages import (
     labels_from,
     parent_from,
 )
-from fibaction.words.errors import ActionError, copy_of
+from fibaction.words.errors import ActionError
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 
@@ -199,18 +197,13 @@ def info_of(message: GoalChanged) -> GoalInfo:
     )
 
 
-class RemoteStatuses(StatusStream):
+class RemoteStatuses(StatusSubscription):
     """One follower of the statuses of all goals of a server."""
 
     def __init__(self, watch: StatusWatch, goals: Iterable[GoalInfo], unlisted: int) -> None:
         """Begin with these goals; so many more are to come."""
+        super().__init__(goals, lambda _: self._watch.leave(self))
         self._watch = watch
-        self._items = deque(goals)
-        self._passed = 0  # items that were taken or dropped
-        self._ended = False
-        self._error: ActionError | None = None
-        self._news = Notifier()
-        self._dropped_here = 0
         self._dropped_before = 0  # by other watches
         self._dropped_at_start = watch.dropped
         self.expect(unlisted)
@@ -218,15 +211,7 @@ class RemoteStatuses(StatusStream):
     @property
     def dropped(self) -> int:
         by_server = self._watch.dropped - self._dropped_at_start
-        return self._dropped_before + by_server + self._dropped_here
-
-    async def receive(self) -> GoalInfo | None:
-        while not self._items:
-            if self._ended:
-                return None
-            self._raise_error()
-            await self._news.wait()
-        return self._take()
+        return self._dropped_before + by_server + self._dropped
 
     async def listed(self) -> list[GoalInfo]:
         goals: dict[GoalID, GoalInfo] = {}
@@ -234,29 +219,13 @@ class RemoteStatuses(StatusStream):
             if self._items:
                 info = self._take()
                 goals[info.goal_id] = info
-            elif self._ended:
+            elif not await self._wait():
                 break
-            else:
-                self._raise_error()
-                await self._news.wait()
         return list(goals.values())
-
-    def _raise_error(self) -> None:
-        if self._error is not None:
-            raise copy_of(self._error)
-
-    def _take(self) -> GoalInfo:
-        self._passed += 1
-        return self._items.popleft()
 
     def close(self) -> None:
         self._items.clear()
         self.end()
-
-    def fail(self, error: ActionError) -> None:
-        self._error = error
-        self._news.notify()
-        self._watch.leave(self)
 
     # For the watch
 
@@ -267,21 +236,11 @@ class RemoteStatuses(StatusStream):
         self._limit = UNREAD + min(waiting, MOST_GOALS)
         self._news.notify()
 
-    def put(self, info: GoalInfo) -> None:
-        """Add a goal or a change. In a full queue it pushes out the oldest."""
-        if len(self._items) >= self._limit:
-            self._take()
-            self._dropped_here += 1
-        self._items.append(info)
-        self._news.notify()
-
     def go_on_with(self, watch: StatusWatch) -> None:
         """Get the statuses from another watch from now on."""
-        self._dropped_before = self.dropped - self._dropped_here
+        self._dropped_before = self.dropped - self._dropped
         self._watch, self._dropped_at_start = watch, watch.dropped
 
     def end(self) -> None:
         """End behind what has come."""
-        self._ended = True
-        self._news.notify()
-        self._watch.leave(self)
+        super().close()

@@ -24,7 +24,7 @@ from mcp_types import (
 from fibaction import serve
 from fibaction.schema.payload import JsonCodec
 from fibaction_transports._agents import questions
-from fibaction_transports._agents.questions import HiddenGoal, goal_text
+from fibaction_transports._agents.questions import UnshownGoal, goal_text
 from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
 from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
@@ -278,7 +278,7 @@ async def test_a_goal_is_shown_without_characters_that_deceive() -> None:
 
 
 async def test_a_goal_that_is_too_long_to_be_shown_is_not_sent() -> None:
-    with pytest.raises(HiddenGoal, match="has 5014 characters, and the user, who must agree"):
+    with pytest.raises(UnshownGoal, match="has 5014 characters, and the user, who must agree"):
         goal_text({"to": "x" * 4998 + "\n"}, ANYTHING)
-    with pytest.raises(HiddenGoal, match="because the user cannot see it"):
+    with pytest.raises(UnshownGoal, match="because the user cannot see it"):
         goal_text({"to": object()}, ANYTHING)

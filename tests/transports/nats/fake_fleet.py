@@ -96,14 +96,9 @@ class FakeBroker(MemoryBroker):
     def __init__(self) -> None:
         super().__init__(MemoryBrokers(), "all")
         self.shared.members.append(self)
-        self.returned_at = -math.inf
         self.gets = 0
         self.watches = 0
         self.questions: list[bytes] = []
-
-    @property
-    def reconnected_at(self) -> float:
-        return self.returned_at
 
     def _send(self, act: Callable[[], None]) -> None:
         act()

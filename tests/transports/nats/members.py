@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import KeyPlaces, StoredGoal, Then
+from fibaction.border.goal_store import KeySlots, StoredGoal, Then
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import StoreError
 from fibaction.words.goals import Sender
@@ -111,7 +111,7 @@ class ServesCount(MemberPart):
         entry.actions = (ServedAction(ActionInfo("count"), is_kept=True),)
 
 
-async def no_places(_limit: str, _most: int) -> KeyPlaces:
+async def no_slots(_limit: str, _most: int) -> KeySlots:
     raise NotImplementedError
 
 
@@ -125,7 +125,7 @@ async def member(
     is_frozen: bool = False,
     cannot_run: Iterable[StoredGoal] = (),
     ends_unreadable: bool = False,
-    key_places: Callable[[str, int], Awaitable[KeyPlaces]] = no_places,
+    key_slots: Callable[[str, int], Awaitable[KeySlots]] = no_slots,
 ) -> AsyncGenerator[Member, None]:
     made = Member(shared, name)
     made.cannot_run = {one.goal_id for one in cannot_run}
@@ -143,7 +143,7 @@ async def member(
         takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
         streams = LostStreams(made.journals, takeover, 0)
-        made.store = FleetStore(made.journals, takeover, key_places, streams.make_keys)
+        made.store = FleetStore(made.journals, takeover, key_slots, streams.make_keys)
         made.journal = await stack.enter_async_context(
             made.store.open(
                 "count",
@@ -154,7 +154,7 @@ async def member(
                 ends_unreadable=ends_unreadable,
             )
         )
-        made.journal.set_room(running, 9)
+        made.journal.set_capacity(running, 9)
         await made.broker.flush()
         yield made
 

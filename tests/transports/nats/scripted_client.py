@@ -62,7 +62,7 @@ class ScriptedClient:
         self.asked.append((subject, data))
         self.on_publish(subject)
 
-    async def request(self, subject: str, data: bytes, timeout: float) -> Message:
+    async def answer(self, subject: str, data: bytes, timeout: float) -> Message:
         self.asked.append((subject, msgspec.json.decode(data) if data else None))
         self.timeouts.append(timeout)
         found = next(found for name, found in self.answers.items() if name in subject)

@@ -238,7 +238,7 @@ async def test_the_goal_of_a_client_that_is_killed_is_in_the_history(
 
 
 async def config_of(broker: NatsBroker, names: FleetNames) -> dict[str, Any]:
-    answer = await jetstream.call(broker._client, f"STREAM.INFO.{names.history}")
+    answer = await jetstream.call(broker, f"STREAM.INFO.{names.history}")
     config: dict[str, Any] = answer["config"]
     return config
 

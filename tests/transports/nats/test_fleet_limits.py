@@ -21,7 +21,7 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.worker.fleet_limits import FleetLimits, FleetPlaces
+from fibaction_transports.nats.worker.fleet_limits import FleetLimits, FleetSlots
 from fibaction_transports.nats.worker.key_entry import (
     KeyEntry,
     key_entry,
@@ -61,7 +61,7 @@ class Counts:
 class Seat(MemberPart):
     """A worker that wants places, as a scheduler does."""
 
-    def __init__(self, limits: FleetLimits, places: FleetPlaces, counts: Counts) -> None:
+    def __init__(self, limits: FleetLimits, places: FleetSlots, counts: Counts) -> None:
         self.limits = limits
         self.places = places
         self.broker: Any = limits.broker
@@ -152,7 +152,7 @@ async def seat(
             has_ended=lost.has_ended,
             open_stream=open_stream,
         )
-        places = await limits.places("arms", most)
+        places = await limits.slots("arms", most)
         made = Seat(limits, places, counts or Counts())
         made.rewrite = repairs[0]
         membership.add(made)
@@ -400,7 +400,7 @@ async def test_without_room_at_the_brokers_goals_wait_and_a_warning_says_so(
         with caplog.at_level(logging.WARNING, "fibaction.nats"):
             a.want()
             await sleep(1.5)
-        assert "the places of a key are not stored, and its goals wait: maximum" in caplog.text
+        assert "the slots of a key are not stored, and its goals wait: maximum" in caplog.text
         assert a.running[KEY] == 0
         shared.is_full, a.broker.max_record = False, most
         await a.runs()
@@ -413,7 +413,7 @@ async def test_a_record_that_cannot_be_read_is_replaced_after_the_time_of_a_leas
         shared.put(SUBJECT, b"\xc1", 0, 9e9)
         a.want()
         await a.runs()
-        assert "the record of places of a key of the fleet cannot be read" in caplog.text
+        assert "the record of slots of a key of the fleet cannot be read" in caplog.text
 
 
 # Lost streams
@@ -492,7 +492,7 @@ async def test_an_answer_from_before_the_loss_is_not_believed(
 
 async def test_two_schedules_of_a_worker_cannot_have_the_same_limit() -> None:
     async with MemoryBrokers() as shared, seat(shared, "a") as a:
-        again = await a.limits.places("arms", 1)
+        again = await a.limits.slots("arms", 1)
         assert again is a.places
         with pytest.raises(ValueError, match="give their servers the same Schedule object"):
             again.open(print)
@@ -504,10 +504,10 @@ async def test_goals_that_wait_for_a_place_do_not_go_round_the_workers() -> None
     async with (
         MemoryBrokers() as shared,
         seat(shared, "b") as b,
-        member(shared, "a", key_places=b.limits.places) as a,
+        member(shared, "a", key_slots=b.limits.slots) as a,
     ):
         a.begins = False
-        assert await a.journal.key_places("arms", 1) is b.places
+        assert await a.journal.key_slots("arms", 1) is b.places
         a.accept(waiting(1))
         keep(shared, goal(2, is_running=False, attempt=0))
         shared.notes.append(MemoryNote(NAMES.left("count"), bytes(goal(2).goal_id)))
@@ -522,9 +522,9 @@ async def test_a_limit_waits_for_brokers_that_are_away_for_the_time_of_a_lease()
         a.limits._hints = None
         a.broker.is_away = True
         with pytest.raises(StoreError, match="cannot join the fleet: fleet_limit='x' cannot be"):
-            await a.limits.places("x", 1)
+            await a.limits.slots("x", 1)
         shared.at(current_time() + 1, lambda: setattr(a.broker, "is_away", False))
-        places = await a.limits.places("x", 1)
+        places = await a.limits.slots("x", 1)
         assert places.most == 1
 
 

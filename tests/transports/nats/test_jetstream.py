@@ -300,8 +300,7 @@ async def test_a_stream_that_another_worker_makes_first_is_used() -> None:
 
 
 async def got(brokers: int = 1, **answers: Any) -> BrokerRecord | None:
-    client: Any = ScriptedClient(**answers)
-    broker = NatsBroker(client)
+    broker: NatsBroker = type("", (ScriptedClient, NatsBroker), {})(**answers)
     broker.brokers = brokers
     return await broker.get(NAMES.workers, NAMES.worker("w"))
 

@@ -100,5 +100,5 @@ def test_in_a_new_stream_nobody_gets_a_place() -> None:
 
 
 def test_another_record_is_an_error() -> None:
-    with pytest.raises(ProtocolError, match="the record of places of a key"):
+    with pytest.raises(ProtocolError, match="the record of slots of a key"):
         key_entry(b"\xc1")

@@ -86,7 +86,7 @@ async def test_a_goal_keeps_its_place_when_the_stream_of_the_places_is_lost(
             await arms.has_begun.wait()
         others = [await client.send_goal(f"left {n}") for n in range(4)]
         await delete(shared_broker, names.keys)
-        await log.told(f"the stream {names.keys} was lost, and with it the places of keys", 2)
+        await log.told(f"the stream {names.keys} was lost, and with it the slots of keys", 2)
         await renewals(shared_broker, names, 8)  # for longer than a lease
         assert arms.order == ["left waits"]
         arms.go.set()

@@ -65,7 +65,7 @@ async def delete(server: NatsServer, *streams: str) -> None:
     """Delete streams as an operator does."""
     async with open_broker(FleetSettings("x", (server.address,))) as broker:
         for stream in streams:
-            await jetstream.call(broker._client, f"STREAM.DELETE.{stream}")
+            await jetstream.call(broker, f"STREAM.DELETE.{stream}")
 
 
 async def renewals(server: NatsServer, names: FleetNames, count: int) -> None:

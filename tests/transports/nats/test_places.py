@@ -237,12 +237,12 @@ async def test_workers_are_waited_for_that_come_back_to_the_brokers_later_than_t
     ):
         a.deafen()
         b.deafen()
-        fleet.broker.returned_at = anyio.current_time()
+        fleet.broker.reconnected_at = anyio.current_time()
         async with Running(lambda: places.take("count")) as taking:
             await anyio.sleep(2 * ROOM_WAIT)
             a.listen(NAMES.offer("count"))
             assert (await taking.answer()).worker == "a"
         a.deafen()
-        fleet.broker.returned_at -= RETURN_WAIT
+        fleet.broker.reconnected_at -= RETURN_WAIT
         with pytest.raises(GoalRejected, match="busy"):
             await places.take("count")

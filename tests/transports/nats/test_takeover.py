@@ -205,7 +205,7 @@ async def test_a_waiting_goal_runs_at_a_worker_as_soon_as_that_has_room() -> Non
             a.accept(waiting())
             await sleep(2 * LEASE)
             assert not b.claimed
-            b.journal.set_room(1, 0)
+            b.journal.set_capacity(1, 0)
             assert await b.claims(1, within=1) == [replace(waiting(), worker="a")]
             await sleep(0.5)
             assert a.lost == [waiting().goal_id], "it has got a hint"
@@ -231,7 +231,7 @@ async def test_a_taken_goal_that_does_not_begin_is_offered_to_others() -> None:
             b.begins = False
             a.accept(waiting())
             await b.claims(1, within=1)
-            b.journal.set_room(0, 0)
+            b.journal.set_capacity(0, 0)
             async with member(shared, "c", running=1) as c:
                 await c.claims(1, within=4)
                 await sleep(0.1)  # the hint comes later
@@ -318,7 +318,7 @@ async def test_a_note_that_comes_when_there_is_no_room_any_more_is_given_back() 
     async with MemoryBrokers() as shared:
         async with member(shared, "a") as a, member(shared, "b", running=1) as b:
             await sleep(1)
-            b.journal.set_room(0, 0)
+            b.journal.set_capacity(0, 0)
             a.accept(waiting())
             await sleep(1)
             assert not b.claimed

@@ -47,7 +47,7 @@ class OpenQuestions(Generic[QuestionT]):
         self._questions.pop(key, None)
 
 
-class HiddenGoal(Exception):
+class UnshownGoal(Exception):
     """A goal that cannot be shown to the user, so that it is not sent; the text says why."""
 
 
@@ -56,17 +56,17 @@ def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
     the server, without characters that could deceive.
 
     Raises:
-        HiddenGoal: It is too long to be shown, or cannot be.
+        UnshownGoal: It is too long to be shown, or cannot be.
     """
     try:
         line = to_json(message)
     except PayloadError as exc:
-        raise HiddenGoal(f"The goal was not sent, because the user cannot see it: {exc}") from exc
+        raise UnshownGoal(f"The goal was not sent, because the user cannot see it: {exc}") from exc
     lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
     shown = [line] if len(lines) > MOST_LINES else lines
     text = _without_deceit(shown)
     if len(text) > LONGEST_GOAL:
-        raise HiddenGoal(
+        raise UnshownGoal(
             f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
             f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
         )
@@ -79,7 +79,7 @@ def question_about(action: RobotAction, goal: Any) -> str:
     """Return the question to the user whether a goal may be sent.
 
     Raises:
-        HiddenGoal: It cannot be shown, as for `goal_text`.
+        UnshownGoal: It cannot be shown, as for `goal_text`.
     """
     return f"Send this goal to the action {action.title}?\n\n{goal_text(goal, action.goals)}"
 

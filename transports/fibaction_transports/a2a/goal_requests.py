@@ -55,7 +55,7 @@ from fibaction.words.errors import ActionError, GoalRejected, LimitReached, Unkn
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import START, AgentGoal, AgentGoals, Position
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.questions import HiddenGoal, question_about
+from fibaction_transports._agents.questions import UnshownGoal, question_about
 from fibaction_transports.a2a.a2a_app import asked_request
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.goal_messages import goal_id_of, goal_in
@@ -211,7 +211,7 @@ class GoalRequests(RequestHandler):
             return await self._send_goal(skill, goal_id, goal, message.context_id)
         try:
             text = question_about(skill, goal)
-        except HiddenGoal as exc:
+        except UnshownGoal as exc:
             raise InvalidParamsError(str(exc)) from exc
         context_id = message.context_id
         return _asking(self._questions.ask(goal_id, skill, goal, context_id, text, _client()))

@@ -16,7 +16,7 @@ from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.questions import HiddenGoal, question_about
+from fibaction_transports._agents.questions import UnshownGoal, question_about
 from fibaction_transports.mcp.answers import (
     ProgressReports,
     ToolError,
@@ -169,7 +169,7 @@ class ToolCalls:
             return ""
         try:
             return question_about(action, message)
-        except HiddenGoal as exc:
+        except UnshownGoal as exc:
             raise ToolError(str(exc)) from exc
 
     async def _wait(

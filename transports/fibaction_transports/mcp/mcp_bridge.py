@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import AsyncExitStack
-from types import TracebackType
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager
 from typing import Any, Self
 
+from anyio import AsyncContextManagerMixin
 from mcp.server import Server
 
 from fibaction.border.abc import Transport
@@ -16,7 +16,7 @@ from fibaction_transports.mcp.mcp_transport import stdio_streams
 from fibaction_transports.mcp.tool_server import ToolServer
 
 
-class McpBridge:
+class McpBridge(AsyncContextManagerMixin):
     """A bridge from language models to actions, while its block lasts.
 
     Each action is a tool, with the schema of its goals. `server` is the server of the official SDK,
@@ -46,7 +46,6 @@ class McpBridge:
         """The rules for what a model may do."""
         self._group = FollowedServers(named)
         self._tools = ToolServer(self._group, self.policy)
-        self._block: AsyncExitStack
 
     @property
     def server(self) -> Server[Any]:
@@ -63,22 +62,13 @@ class McpBridge:
         """For each server that cannot be reached now, by its name, the reason."""
         return {name: text for name, text in self._group.problems.items() if text}
 
-    async def __aenter__(self) -> Self:
-        """Connect to the servers; those that are not there are waited for, in the background."""
-        async with AsyncExitStack() as stack:
-            await stack.enter_async_context(self._group)
-            await stack.enter_async_context(self._tools)
-            self._block = stack.pop_all()
-        return self
-
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Leave the servers; goals that run there continue."""
-        await self._block.__aexit__(exc_type, exc, traceback)
+    @asynccontextmanager
+    async def __asynccontextmanager__(self) -> AsyncGenerator[Self, None]:
+        """Connect to the servers; those that are not there are waited for, in the background. Goals
+        that run there continue after the block.
+        """
+        async with self._group, self._tools:
+            yield self
 
     async def run_stdio(self) -> None:
         """Serve one client over stdin and stdout, until it closes stdin.

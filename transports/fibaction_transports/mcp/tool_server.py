@@ -10,8 +10,8 @@ are those that it has sent, and those that someone has asked about: at most once
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
-from types import TracebackType
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any, Self
 
 import anyio
@@ -175,7 +175,7 @@ class _McpServer(Server[object]):
         )
 
 
-class ToolServer:
+class ToolServer(anyio.AsyncContextManagerMixin):
     """The tools for a group of servers, which can be called while the block lasts."""
 
     def __init__(self, group: ServerGroup, policy: AgentPolicy) -> None:
@@ -188,7 +188,6 @@ class ToolServer:
         )
         self._calls = ToolCalls(self._actions, self._goals, policy)
         resources = GoalResources(self._goals)
-        self._block: AsyncExitStack
         self.server: Server[Any] = _McpServer(
             "fibaction",
             version=__version__,
@@ -214,23 +213,13 @@ class ToolServer:
         """The names of the tools, in the order of the list."""
         return [tool.name for tool in tool_list(self._actions.by_label, self._policy)]
 
-    async def __aenter__(self) -> Self:
-        """Begin to follow the goals that are sent, and the list of tools."""
-        async with AsyncExitStack() as stack:
-            tasks = await stack.enter_async_context(self._goals.followed())
+    @asynccontextmanager
+    async def __asynccontextmanager__(self) -> AsyncGenerator[Self, None]:
+        """Follow the list of tools, and the goals that are sent, which go on after the block."""
+        async with self._goals.followed() as tasks:
             tasks.start_soon(self._goal_changes.tell)
             tasks.start_soon(self._tell_changes)
-            self._block = stack.pop_all()
-        return self
-
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Follow the goals no longer; they continue at their servers."""
-        await self._block.__aexit__(exc_type, exc, traceback)
+            yield self
 
     async def _tell_changes(self) -> None:
         while True:

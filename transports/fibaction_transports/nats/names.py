@@ -14,9 +14,9 @@ hexadecimal digits. IDs of goals are 32 hexadecimal digits.
     fib.<fleet>.worker.<worker>          lease of a worker, in the stream FIB_<fleet>_WORKERS
     fib.<fleet>.want.<action>            note of a goal that waits, in the stream FIB_<fleet>_NOTES
     fib.<fleet>.left.<action>            note of a goal without a worker, in that stream as well
-    fib.<fleet>.key.<limit>.<key>        places of a key, in the stream FIB_<fleet>_KEYS
+    fib.<fleet>.key.<limit>.<key>        slots of a key, in the stream FIB_<fleet>_KEYS
     fib.<fleet>.key.=00intake.<action>   how an action takes goals, in that stream as well
-    fib.<fleet>.turn.<worker>            hint to a worker that it has a place of a key by now
+    fib.<fleet>.turn.<worker>            hint to a worker that it has a slot of a key by now
     fib.<fleet>.past.<action>.<goal>.<stamp>    goal that has ended, in FIB_<fleet>_HISTORY
 
 A fleet has the stream of the keys only if a schedule has a `fleet_limit`, or an action was paused,
@@ -78,7 +78,7 @@ class FleetNames:
         """The stream of the notes, a work queue."""
 
         self.keys = f"FIB_{token}_KEYS"
-        """The stream of the places of keys."""
+        """The stream of the slots of keys."""
         self.history = f"FIB_{token}_HISTORY"
         """The stream of the goals of the past."""
 
@@ -128,15 +128,15 @@ class FleetNames:
         return f"{self.root}.left.{token_of(action)}"
 
     def key(self, limit: str, key: bytes) -> str:
-        """Return the subject of the places of a key of a limit."""
+        """Return the subject of the slots of a key of a limit."""
         return f"{self.root}.key.{token_of(limit)}.{blake2b(key, digest_size=16).hexdigest()}"
 
     def intake(self, action: str) -> str:
-        """Return the subject of how an action takes goals, in the stream of the places of keys."""
+        """Return the subject of how an action takes goals, in the stream of the slots of keys."""
         return self.key("\0intake", action.encode("utf-8", "surrogatepass"))
 
     def all_keys(self) -> str:
-        """Return the subject of the places of all keys."""
+        """Return the subject of the slots of all keys."""
         return f"{self.root}.key.{ANY}.{ANY}"
 
     def past(self, action: str, goal_id: GoalID | None = None, stamp: int | None = None) -> str:
@@ -151,7 +151,7 @@ class FleetNames:
         return f"{self.root}.past.{ANY}.{ANY}.{ANY}"
 
     def turn(self, worker: str) -> str:
-        """Return the subject of hints to a worker that it has a place of a key by now."""
+        """Return the subject of hints to a worker that it has a slot of a key by now."""
         return f"{self.root}.turn.{token_of(worker)}"
 
     def all_want(self) -> str:

@@ -17,6 +17,7 @@ No exception of a library crosses this interface.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
@@ -141,11 +142,8 @@ class Broker(ABC):
     """The bytes of the largest record or message that the broker takes."""
     brokers: int
     """The number of brokers that keep records together, as far as it is known."""
-
-    @property
-    @abstractmethod
-    def reconnected_at(self) -> float:
-        """The time at which a lost connection was made again last; `-math.inf` if none was."""
+    reconnected_at: float = -math.inf
+    """The time at which a lost connection was made again last; `-math.inf` if none was."""
 
     @property
     @abstractmethod
@@ -205,7 +203,7 @@ class Broker(ABC):
 
         Clients make none: a stream that is missing is like an empty one. `replicas` is the number
         of brokers that keep each record; 0 leaves it to the broker, or as it is. With `has_keys`,
-        the fleet has the stream of the places of keys; with `history`, it has that of the history,
+        the fleet has the stream of the slots of keys; with `history`, it has that of the history,
         with these bounds, which are set if it is there already.
 
         Raises:

@@ -119,7 +119,7 @@ class NatsClient:
         """The INFO of the broker."""
         self.connections = 0
         """The number of connections that were made."""
-        self.reconnected_at = -math.inf  # see `Broker.reconnected_at`
+        self.reconnected_at = -math.inf
         self.to_notify: set[Notifier] = set()
         """Notified when the connection is lost, and when it is made again."""
 
@@ -149,7 +149,7 @@ class NatsClient:
         self._pending.call_back(number, then)
         self._send(_Outgoing(subject, data, self._pending.subject(number), headers, number))
 
-    async def request(self, subject: str, data: bytes, timeout: float) -> Message:
+    async def answer(self, subject: str, data: bytes, timeout: float) -> Message:
         """Send a message, and return the first answer.
 
         Raises:

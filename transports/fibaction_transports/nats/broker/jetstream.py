@@ -86,7 +86,7 @@ async def call(
         ApiError: It answers with an error.
         NoResponders, BrokerAway: It does not answer.
     """
-    message = await client.request(f"$JS.API.{name}", body, timeout)
+    message = await client.answer(f"$JS.API.{name}", body, timeout)
     try:
         answer: dict[str, Any] = msgspec.json.decode(message.data, type=dict[str, Any])
     except msgspec.DecodeError as exc:

@@ -20,12 +20,10 @@ from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
     BrokerStream,
-    BrokerSubscription,
     BrokerWatch,
     Message,
     NoResponders,
     Note,
-    OnMessage,
     PutError,
     PutFailure,
     Stored,
@@ -43,38 +41,17 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.02, 1.0
 """Seconds until a note is added again that the broker has not taken."""
 
 
-class NatsBroker(Broker):
+class NatsBroker(NatsClient, Broker):
     """A connection to brokers of NATS with JetStream."""
 
-    def __init__(self, client: NatsClient) -> None:
-        self._client = client
+    def __init__(self, settings: FleetSettings) -> None:
+        super().__init__(settings)
         self._tasks: Any = None
         self.brokers = 1
         self.max_record = 0
 
-    @property
-    def is_connected(self) -> bool:
-        return self._client.is_connected
-
-    @property
-    def reconnected_at(self) -> float:
-        return self._client.reconnected_at
-
-    # Messages
-
-    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
-        self._client.publish(subject, data, reply)
-
-    async def subscribe(
-        self, subject: str, on_message: OnMessage, queue: str = ""
-    ) -> BrokerSubscription:
-        return await self._client.subscribe(subject, on_message, queue)
-
     async def request(self, subject: str, data: bytes, timeout: float) -> bytes:
-        return (await self._client.request(subject, data, timeout)).data
-
-    async def flush(self) -> None:
-        await self._client.flush()
+        return (await self.answer(subject, data, timeout)).data
 
     # Records
 
@@ -87,12 +64,12 @@ class NatsBroker(Broker):
         history: GoalHistory | None = None,
     ) -> None:
         brokers = self.brokers
-        await jetstream.create_streams(self._client, names, replicas, brokers, has_keys=has_keys)
+        await jetstream.create_streams(self, names, replicas, brokers, has_keys=has_keys)
         if history is not None:
-            await jetstream.create_history(self._client, names, history, replicas, brokers)
+            await jetstream.create_history(self, names, history, replicas, brokers)
 
     async def find_stream(self, stream: str) -> BrokerStream | None:
-        return await jetstream.find_stream(self._client, stream)
+        return await jetstream.find_stream(self, stream)
 
     def put(
         self,
@@ -107,7 +84,7 @@ class NatsBroker(Broker):
         if len(data) > self.max_record:
             text = f"{len(data)} bytes are more than the {self.max_record} that the broker takes"
             error = PutError(PutFailure.TOO_LARGE, text)
-            self._client.soon(lambda: then(error))
+            self.soon(lambda: then(error))
             return
         headers = {EXPECTED: str(expected)}
         if not data:
@@ -117,15 +94,13 @@ class NatsBroker(Broker):
             headers["Nats-TTL"] = str(max(1, math.ceil(ttl)))
         if head:
             headers[HEAD] = base64.b64encode(head).decode()
-        self._client.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
+        self.ask(subject, data, headers, lambda answer: then(_outcome(answer)))
 
     async def get(self, stream: str, subject: str) -> BrokerRecord | None:
         if self.brokers > 1:
             return await self._get_from_leader(stream, subject)
         try:
-            answer = await self._client.request(
-                f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT
-            )
+            answer = await self.answer(f"$JS.API.DIRECT.GET.{stream}.{subject}", b"", ACK_TIMEOUT)
         except NoResponders:  # it is missing, or was made just now
             return await self._get_from_leader(stream, subject)
         if answer.status == "404":
@@ -138,7 +113,7 @@ class NatsBroker(Broker):
         """Return the newest record. To direct requests, brokers answer that may have an old one."""
         asked = msgspec.json.encode({"last_by_subj": subject})
         try:
-            answer = await jetstream.call(self._client, f"STREAM.MSG.GET.{stream}", asked)
+            answer = await jetstream.call(self, f"STREAM.MSG.GET.{stream}", asked)
         except jetstream.ApiError as exc:
             if exc.code == 404:
                 return None
@@ -151,7 +126,7 @@ class NatsBroker(Broker):
     def watch(
         self, stream: str, subject: str, *, heads_since: int | None = None
     ) -> AbstractAsyncContextManager[BrokerWatch]:
-        return watch_records(self._client, stream, subject, heads_since)
+        return watch_records(self, stream, subject, heads_since)
 
     # Notes
 
@@ -167,10 +142,10 @@ class NatsBroker(Broker):
             await anyio.sleep(pause)
             self._add_note(subject, data, min(2 * pause, LONGEST_PAUSE))
 
-        self._client.ask(subject, data, None, then)
+        self.ask(subject, data, None, then)
 
     def notes(self, subject: str) -> AsyncGenerator[Note, None]:
-        return NoteQueue(self._client, subject).notes()
+        return NoteQueue(self, subject).notes()
 
     # Life
 
@@ -180,9 +155,9 @@ class NatsBroker(Broker):
         Raises:
             TransportError: It is too old, or has no JetStream.
         """
-        info = self._client.info
-        jetstream.check_version(self._client.url, info.version)
-        await jetstream.check_account(self._client)
+        info = self.info
+        jetstream.check_version(self.url, info.version)
+        await jetstream.check_account(self)
         self.max_record = info.max_payload - HEADERS
         if info.cluster:
             self.brokers = max(len(info.connect_urls), 2)
@@ -190,7 +165,7 @@ class NatsBroker(Broker):
     def start(self, tasks: Any) -> None:
         """Begin to connect again whenever the connection is lost."""
         self._tasks = tasks
-        for task in (self._client.expire, self._client.keep_connected):
+        for task in (self.expire, self.keep_connected):
             tasks.start_soon(task)
 
 
@@ -212,15 +187,14 @@ async def open_broker(settings: FleetSettings) -> AsyncGenerator[NatsBroker, Non
         AuthenticationFailed: A broker does not let this client in.
         TransportError: The broker is too old, or has no JetStream.
     """
-    client = NatsClient(settings)
-    broker = NatsBroker(client)
-    await client.connect()
+    broker = NatsBroker(settings)
+    await broker.connect()
     async with Background() as tasks:
         try:
             broker.start(tasks)
             with suppress(BrokerAway):
-                await client.flush()
+                await broker.flush()
             await broker.check()
             yield broker
         finally:
-            await client.close()
+            await broker.close()

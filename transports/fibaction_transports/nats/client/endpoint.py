@@ -57,14 +57,12 @@ from fibaction.border.abc import (
     StatusStream,
     cancel_each,
 )
-from fibaction.border.peer_text import excerpt, shortened
+from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.messages import (
     LARGEST,
     AwaitServer,
-    CancelAnswered,
-    CancelGoals,
     Done,
     Follow,
     SendGoal,
@@ -259,8 +257,6 @@ class FleetEndpoint(Endpoint):
     async def cancel_goals(
         self, goal_id: GoalID | None = None, stamp: int | None = None
     ) -> CancelAnswer:
-        if stamp:  # 0 is not a stamp; a number that cannot be sent keeps its meaning
-            stamp = min(max(stamp, 1), LARGEST)
         if goal_id is not None and any(goal_id) and not stamp:
             return await self._cancel_one(goal_id)
         until = stamp or time.time_ns()
@@ -284,7 +280,8 @@ class FleetEndpoint(Endpoint):
 
     async def _cancel_one(self, goal_id: GoalID) -> CancelAnswer:
         async def cancel(found: FoundGoal) -> CancelAnswer:
-            answer = await self._cancel_at(found.goal.worker, goal_id, None)
+            calls = self._parts.connections.calls_of(found.goal.worker)
+            answer = await calls.cancel(self._info.name, goal_id, None)
             if answer.return_code in _NOT_THERE:
                 raise UnknownGoal(goal_id)  # it moves, or has ended: the record tells
             return answer
@@ -298,19 +295,11 @@ class FleetEndpoint(Endpoint):
 
     async def _cancel_at_all(self, goal_id: GoalID | None, stamp: int | None) -> CancelAnswer:
         async def ask(worker: str) -> CancelAnswer:
-            return await self._cancel_at(worker, goal_id, stamp)
+            return await self._parts.connections.calls_of(worker).cancel(
+                self._info.name, goal_id, stamp
+            )
 
         return CancelAnswer.merged(await self.of_all(await self.workers(), ask))
-
-    async def _cancel_at(
-        self, worker: str, goal_id: GoalID | None, stamp: int | None
-    ) -> CancelAnswer:
-        calls = self._parts.connections.calls_of(worker)
-        answer: CancelAnswered = await calls.ask(
-            lambda call_id: CancelGoals(call_id, self._info.name, goal_id, stamp), CancelAnswered
-        )
-        goals = tuple(GoalInfo(GoalID(one), when, status) for one, when, status in answer.goals)
-        return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
 
     # All goals, and the server
 

@@ -1,7 +1,7 @@
 """`FleetLimits`: the limits that one worker has together with the other workers of its fleet.
 
 The stream of their records is made when the first server that needs it starts, so a fleet without
-such limits has none. `FleetPlaces` is one limit; it has a `KeyTurns`, and a task for it, for each
+such limits has none. `FleetSlots` is one limit; it has a `KeyTurns`, and a task for it, for each
 key whose goals run or wait here.
 
 Theory of operation
@@ -12,19 +12,19 @@ The scheduler notes how many goals of the key run here, and how many could begin
 over the record that it has read: if another worker was faster, it reads again. It ends when the
 record has nothing of this worker left.
 
-A place is used (`granted`) when this worker's own write says so, or when a record says so that is
-newer than this worker's last write: then another worker has given it the place. `_held` is the
-number of places in the newest record that was looked at, so each place is granted once. What is
+A slot is used (`granted`) when this worker's own write says so, or when a record says so that is
+newer than this worker's last write: then another worker has given it the slot. `_held` is the
+number of slots in the newest record that was looked at, so each slot is granted once. What is
 held without a goal goes back with the next write.
 
 A write without an answer may be stored later. Then nothing is granted by what is read, before
 another write is stored over the same record, or a newer record is there: each of these makes sure
 that the doubtful one has been stored, or never will be.
 
-A worker that waits is told of its place by a hint. Hints may be lost, and workers may be killed, so
+A worker that waits is told of its slot by a hint. Hints may be lost, and workers may be killed, so
 it also looks at the record now and then, and leaves out the workers whose lease has ended.
 
-The stream of the records may be lost. In a new one, nobody gets a place for the time of a lease, in
+The stream of the records may be lost. In a new one, nobody gets a slot for the time of a lease, in
 which each worker writes again how many goals it runs.
 """
 
@@ -40,7 +40,7 @@ from anyio.abc import TaskGroup
 from msgspec.structs import replace
 
 from fibaction.border.abc import Notifier
-from fibaction.border.goal_store import KeyPlaces
+from fibaction.border.goal_store import KeySlots
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ProtocolError, StoreError, TransportError
 from fibaction_transports.nats.broker.broker import (
@@ -94,7 +94,7 @@ class KeyTurns:
         self._asked = 0
         self._incarnation = b""
         self._sequence = 0  # of the newest record that was looked at
-        self._held = 0  # the places of this incarnation in it
+        self._held = 0  # the slots of this incarnation in it
         self._has_written = False  # since then, records say what others have given
         self._doubt: int | None = None  # the sequence that a write without an answer is to replace
         self._stream = 0  # counts the streams that were lost
@@ -107,13 +107,13 @@ class KeyTurns:
         return bool(self._running or self._asked)
 
     def note(self, running: int, asked: int) -> None:
-        """Note the goals that run here, and those for which there is to be a place."""
+        """Note the goals that run here, and those for which there is to be a slot."""
         if (running, asked) != (self._running, self._asked):
             self._running, self._asked = running, asked
             self._news.notify()
 
     def look(self) -> None:
-        """Look at the record soon: it may have a place for this worker."""
+        """Look at the record soon: it may have a slot for this worker."""
         self._is_hinted = True
         self._news.notify()
 
@@ -152,7 +152,7 @@ class KeyTurns:
             record = await fleet.broker.get(fleet.names.keys, self._subject)
             entry = self._entry_of(record)
             gone = await self._gone(entry)
-            gives = not (await self._may_miss_places(record, entry))
+            gives = not (await self._may_miss_slots(record, entry))
         except BrokerAway:
             return LONGEST_PAUSE
         if not self._is_still(at):
@@ -187,15 +187,15 @@ class KeyTurns:
             if await self._fleet.has_ended(one.worker, one.incarnation)
         }
 
-    async def _may_miss_places(self, record: BrokerRecord | None, entry: KeyEntry) -> bool:
-        """Return whether places may be missing in a record, because the stream was lost."""
+    async def _may_miss_slots(self, record: BrokerRecord | None, entry: KeyEntry) -> bool:
+        """Return whether slots may be missing in a record, because the stream was lost."""
         if record is not None and record.data and not entry.gives_none:
             return False
         fleet = self._fleet
         return await fleet.broker.is_new(fleet.names.keys, fleet.longest_lease)
 
     def _look_at(self, entry: KeyEntry, sequence: int) -> None:
-        """Take the places that others have given to this worker."""
+        """Take the slots that others have given to this worker."""
         if self._doubt is not None:
             if sequence <= self._doubt:
                 return
@@ -255,7 +255,7 @@ class KeyTurns:
         if error.kind is PutFailure.UNKNOWN:
             self._doubt = sequence
             return CLASH_PAUSE
-        logger.warning("the places of a key are not stored, and its goals wait: %s", error.text)
+        logger.warning("the slots of a key are not stored, and its goals wait: %s", error.text)
         return LONGEST_PAUSE
 
 
@@ -287,7 +287,7 @@ class FleetLimits(MemberPart):
         """The turns at keys, by the subjects of their records."""
         self._workers = workers
         self._open_stream = open_stream
-        self._limits: dict[str, FleetPlaces] = {}
+        self._limits: dict[str, FleetSlots] = {}
         self._hints: BrokerSubscription | None = None
         membership.add(self)
 
@@ -296,8 +296,8 @@ class FleetLimits(MemberPart):
         """The longest lease of a worker of the fleet, in seconds."""
         return max(self._workers.longest_lease, self.membership.lease)
 
-    async def places(self, limit: str, most: int) -> FleetPlaces:
-        """Return the places of a limit: see `GoalJournal.key_places`.
+    async def slots(self, limit: str, most: int) -> FleetSlots:
+        """Return the slots of a limit: see `GoalJournal.key_slots`.
 
         Raises:
             StoreError: The brokers do not answer.
@@ -316,11 +316,11 @@ class FleetLimits(MemberPart):
                         f"cannot join the fleet: fleet_limit={limit!r} cannot be used: {exc}"
                     ) from exc
             await sleep(LONGEST_PAUSE)
-        places = self._limits.get(limit)
-        if places is None:
-            places = self._limits[limit] = FleetPlaces(self, limit)
-        places.most = most
-        return places
+        slots = self._limits.get(limit)
+        if slots is None:
+            slots = self._limits[limit] = FleetSlots(self, limit)
+        slots.most = most
+        return slots
 
     def _on_hint(self, message: Message) -> None:
         turns = self.turns.get(message.data.decode("ascii", "replace"))
@@ -337,12 +337,12 @@ class FleetLimits(MemberPart):
             turns.rewrite()
 
 
-class FleetPlaces(KeyPlaces):
-    """The places of one limit, as one worker asks for them."""
+class FleetSlots(KeySlots):
+    """The slots of one limit, as one worker asks for them."""
 
     def __init__(self, limits: FleetLimits, limit: str) -> None:
         self.most = 0
-        """The number of places of each key."""
+        """The number of slots of each key."""
         self._limits = limits
         self._limit = limit
         self._granted: Callable[[bytes], None] = _decline
@@ -350,7 +350,7 @@ class FleetPlaces(KeyPlaces):
         self._turns: dict[bytes, KeyTurns] = {}
 
     def open(self, granted: Callable[[bytes], None]) -> None:
-        """See `KeyPlaces.open`."""
+        """See `KeySlots.open`."""
         if self._is_open:
             raise ValueError(
                 f"two schedules of this worker have fleet_limit={self._limit!r}: give their servers"
@@ -359,13 +359,13 @@ class FleetPlaces(KeyPlaces):
         self._is_open, self._granted = True, granted
 
     def close(self) -> None:
-        """See `KeyPlaces.close`."""
+        """See `KeySlots.close`."""
         self._is_open, self._granted = False, _decline
         for turns in self._turns.values():
             turns.note(0, 0)
 
     def note(self, key: bytes, running: int, asked: int) -> None:
-        """See `KeyPlaces.note`."""
+        """See `KeySlots.note`."""
         turns = self._turns.get(key)
         if turns is None:
             if not (running or asked):

@@ -21,7 +21,7 @@ from anyio import current_time, sleep
 from anyio.abc import TaskGroup
 
 from fibaction.border.abc import Notifier
-from fibaction.border.goal_store import GoalJournal, KeyPlaces, StoredGoal, Then
+from fibaction.border.goal_store import GoalJournal, KeySlots, StoredGoal, Then
 from fibaction.words.errors import StoreError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats.broker.broker import (
@@ -70,7 +70,7 @@ class FleetJournal(FleetHistory, GoalJournal):
         claim: Callable[[StoredGoal], None],
         lose: Callable[[GoalID], None],
         obstacle: Callable[[StoredGoal], str],
-        key_places: Callable[[str, int], Awaitable[KeyPlaces]],
+        key_slots: Callable[[str, int], Awaitable[KeySlots]],
         make_keys: Callable[[], Awaitable[None]],
     ) -> None:
         self._make_keys = make_keys
@@ -86,10 +86,10 @@ class FleetJournal(FleetHistory, GoalJournal):
         self.obstacle = obstacle
         """The function that returns why the server cannot run a goal; empty if it can."""
         self._held: dict[GoalID, HeldGoal] = {}
-        self._key_places = key_places
+        self._key_slots = key_slots
         self._shortage = Shortage(parts.names)
         self.outcomes = KeptOutcomes(parts.broker, max_results)
-        self._keeps_waiting = False  # True if goals wait for places in the fleet
+        self._keeps_waiting = False  # True if goals wait for slots in the fleet
         self._settled = Notifier()
         self._answers = AnswerQueue(self._settled.notify)
         self.begun = Notifier()
@@ -100,15 +100,15 @@ class FleetJournal(FleetHistory, GoalJournal):
         """See `GoalJournal.valid_until`."""
         return self._membership.valid_until
 
-    def set_room(self, running: float, waiting: float) -> None:
-        """See `GoalJournal.set_room`."""
+    def set_capacity(self, running: float, waiting: float) -> None:
+        """See `GoalJournal.set_capacity`."""
         self.running, self.waiting = running, waiting
         self._parts.room.notify()
 
-    async def key_places(self, limit: str, most: int) -> KeyPlaces:
-        """See `GoalJournal.key_places`."""
+    async def key_slots(self, limit: str, most: int) -> KeySlots:
+        """See `GoalJournal.key_slots`."""
         self._keeps_waiting = True
-        return await self._key_places(limit, most)
+        return await self._key_slots(limit, most)
 
     # The intake
 
@@ -273,8 +273,8 @@ class FleetJournal(FleetHistory, GoalJournal):
             self._send(held)
 
     def offer_to_others(self, goal_id: GoalID) -> None:
-        """Add a note for workers with room, if a goal waits here for a place of this worker. One
-        that waits for a place in the fleet, or until it can run alone, would wait as long at
+        """Add a note for workers with room, if a goal waits here for a slot of this worker. One
+        that waits for a slot in the fleet, or until it can run alone, would wait as long at
         another worker, and go round.
         """
         held = self._held.get(goal_id)

@@ -3,14 +3,14 @@
 Theory of operation
 -------------------
 
-A key has so many places. A worker holds one for each goal that it runs, and waits for as many as it
-could begin goals. Whoever writes the record gives free places to the workers that wait, in the
-order in which they have come (`next_entry`). A worker gets one place at a time, and stands behind
+A key has so many slots. A worker holds one for each goal that it runs, and waits for as many as it
+could begin goals. Whoever writes the record gives free slots to the workers that wait, in the
+order in which they have come (`next_entry`). A worker gets one slot at a time, and stands behind
 the others for the next one, so it cannot keep a key for itself.
 
 Workers whose lease has ended are left out of the next record. A worker that has more goals running
 than the record says, because the record was lost, is written with all of them, even if these are
-more than there are places: then nobody gets one before some of them have ended.
+more than there are slots: then nobody gets one before some of them have ended.
 
 Sans-I/O.
 """
@@ -26,7 +26,7 @@ from fibaction_transports.nats.records import reader
 
 
 class KeyShare(msgspec.Struct, array_like=True, frozen=True):
-    """The places that one worker has, or waits for."""
+    """The slots that one worker has, or waits for."""
 
     worker: str
     incarnation: bytes
@@ -42,21 +42,21 @@ class KeyEntry(msgspec.Struct, array_like=True, frozen=True):
     waiting: tuple[KeyShare, ...] = ()
     """The workers that wait, in the order of their turns."""
     gives_none: bool = False
-    """True if it was written while its stream was new, so that places may be missing in it."""
+    """True if it was written while its stream was new, so that slots may be missing in it."""
     nonce: bytes = b""
     """Random bytes of this write: without a change, it is another record nevertheless."""
 
     @property
     def is_empty(self) -> bool:
-        """True if no worker has or wants a place."""
+        """True if no worker has or wants a slot."""
         return not (self.holders or self.waiting)
 
     def asked_by(self, incarnation: bytes) -> int:
-        """Return the number of places that a worker waits for."""
+        """Return the number of slots that a worker waits for."""
         return sum(one.count for one in self.waiting if one.incarnation == incarnation)
 
     def held_by(self, incarnation: bytes) -> int:
-        """Return the number of places that a worker has."""
+        """Return the number of slots that a worker has."""
         return sum(one.count for one in self.holders if one.incarnation == incarnation)
 
     def says_the_same(self, other: KeyEntry) -> bool:
@@ -65,7 +65,7 @@ class KeyEntry(msgspec.Struct, array_like=True, frozen=True):
 
 
 class Demand(NamedTuple):
-    """The places that one worker has in use, and those that it wants."""
+    """The slots that one worker has in use, and those that it wants."""
 
     worker: str
     incarnation: bytes
@@ -73,7 +73,7 @@ class Demand(NamedTuple):
     asked: int
 
 
-key_entry = reader(KeyEntry, "the record of places of a key")
+key_entry = reader(KeyEntry, "the record of slots of a key")
 
 
 def next_entry(
@@ -81,7 +81,7 @@ def next_entry(
 ) -> KeyEntry:
     """Return the record that follows from what a worker wants, without those that are gone.
 
-    With `gives`, free places are given to the workers that wait, as long as fewer than `most` are
+    With `gives`, free slots are given to the workers that wait, as long as fewer than `most` are
     held.
     """
     me = demand.incarnation
@@ -108,5 +108,5 @@ def next_entry(
 
 
 def given(before: KeyEntry, after: KeyEntry) -> list[str]:
-    """Return the names of the workers that have more places in a record than in the one before."""
+    """Return the names of the workers that have more slots in a record than in the one before."""
     return [one.worker for one in after.holders if one.count > before.held_by(one.incarnation)]

@@ -11,7 +11,7 @@ fence itself. It makes those that are missing, and writes again what is its own:
 - its lease, so that other workers do not take its goals over;
 - the records of its goals, which continue meanwhile;
 - the notes of goals that wait at it, and of those that a scan finds without a worker;
-- the places of keys that its goals have, if it has opened their stream (`open_keys`).
+- the slots of keys that its goals have, if it has opened their stream (`open_keys`).
 
 The history (`open_history`) is made again without goals. What no living worker has in its memory is
 lost: outcomes, and goals that had no worker.
@@ -75,7 +75,7 @@ class LostStreams:
             self._known[stream] = await self._identity(stream)
 
     async def open_keys(self, repair: Callable[[], None]) -> None:
-        """Make the stream of the places of keys if it is missing, and look for it from now on: call
+        """Make the stream of the slots of keys if it is missing, and look for it from now on: call
         `repair` when it was lost, and is there again.
 
         Raises:
@@ -83,10 +83,10 @@ class LostStreams:
             TransportError: The stream cannot be made.
         """
         more = self._more._replace(has_keys=True)
-        await self._open(self._names.keys, "the places of keys", repair, more)
+        await self._open(self._names.keys, "the slots of keys", repair, more)
 
     async def make_keys(self) -> None:
-        """Make the stream of the places of keys for other records, if it is missing.
+        """Make the stream of the slots of keys for other records, if it is missing.
 
         Raises:
             BrokerAway: The brokers do not answer.

@@ -22,7 +22,7 @@ from msgspec.structs import replace
 
 from fibaction.border.abc import Endpoint, Notifier
 from fibaction.border.event_loop import Background
-from fibaction.border.goal_store import GoalStore, KeyPlaces, StoredGoal, no_obstacle
+from fibaction.border.goal_store import GoalStore, KeySlots, StoredGoal, no_obstacle
 from fibaction.border.peer_text import excerpt
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ConnectionLost, ProtocolError, StoreError, TransportError
@@ -135,14 +135,14 @@ class FleetStore(GoalStore):
         self,
         journals: WorkerJournals,
         takeover: Takeover,
-        places: Callable[[str, int], Awaitable[KeyPlaces]],
+        slots: Callable[[str, int], Awaitable[KeySlots]],
         make_keys: Callable[[], Awaitable[None]],
     ) -> None:
-        """Take the function for `GoalJournal.key_places`, and the one that makes their stream."""
+        """Take the function for `GoalJournal.key_slots`, and the one that makes their stream."""
         self._make_keys = make_keys
         self._journals = journals
         self._takeover = takeover
-        self._places = places
+        self._slots = slots
 
     @asynccontextmanager
     async def open(
@@ -165,7 +165,7 @@ class FleetStore(GoalStore):
         if action in journals.by_action:
             raise StoreError(f"this worker serves the action {excerpt(action)!r} already")
         journal = FleetJournal(
-            journals, action, max_results, claim, lose, obstacle, self._places, self._make_keys
+            journals, action, max_results, claim, lose, obstacle, self._slots, self._make_keys
         )
         journals.by_action[action] = journal
         try:
@@ -212,7 +212,7 @@ class Worker(MemberPart):
             open_stream=self._streams.open_keys,
         )
         self.store = FleetStore(
-            self._journals, self._takeover, limits.places, self._streams.make_keys
+            self._journals, self._takeover, limits.slots, self._streams.make_keys
         )
         """The store for the servers of this worker."""
         self._offers = Offers(self._journals)
