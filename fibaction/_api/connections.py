@@ -13,9 +13,9 @@ import anyio
 from fibaction._runtime.async_only import AsyncBlock
 from fibaction.border.abc import Connection, Endpoint, Transport
 from fibaction.border.urls import transport_for
+from fibaction.border.watchers import GoalTracer
 from fibaction.client.client import ActionClient
 from fibaction.client.goal import Blocks, leave_blocks
-from fibaction.client.goal_span import GoalTracer
 from fibaction.client.kept_connection import KeptConnection, keep_open
 from fibaction.types.action import Action, ActionInfo, FeedbackT, GoalT, ResultT
 from fibaction.types.arguments import Arguments, P

@@ -12,8 +12,7 @@ functions.
 
 from fibaction.blocking._blocking_client import BlockingClient, BlockingConnection
 from fibaction.blocking._blocking_goal import BlockingFeedback, BlockingGoal, track
-from fibaction.blocking._open_block import call, connect
-from fibaction.blocking._serving_block import BlockingServing, serve
+from fibaction.blocking._open_block import BlockingServing, call, connect, serve
 
 __all__ = [
     "BlockingClient",

@@ -1,12 +1,14 @@
-"""`connect`: the block of a connection, with its thread; and `call`, for one goal."""
+"""The blocks of `connect` and `serve`, each with its thread; and `call`, for one goal."""
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterable
+from contextlib import AbstractContextManager, suppress
+from threading import Event
 from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, TypeVar, Unpack, overload
 
 import fibaction._api
-from fibaction._api import ClientConnection, check_is_action, goal_and_connection
+from fibaction._api import ClientConnection, Served, check_is_action, goal_and_connection
 from fibaction.blocking._blocking_client import (
     BlockingClient,
     BlockingConnection,
@@ -15,7 +17,7 @@ from fibaction.blocking._blocking_client import (
 from fibaction.blocking._loop_thread import LoopBlock
 from fibaction.border.abc import Transport
 from fibaction.border.urls import transport_for
-from fibaction.client.goal_span import GoalTracer
+from fibaction.border.watchers import GoalTracer, Watcher
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
 from fibaction.types.arguments import (
     Arguments,
@@ -26,6 +28,10 @@ from fibaction.types.arguments import (
     TakesOne,
 )
 from fibaction.words.errors import TransportError
+
+if TYPE_CHECKING:
+    from fibaction_transports.keywords import ServeKeywords
+
 
 if TYPE_CHECKING:
     from fibaction.client.options import BlockingCallOptions
@@ -201,3 +207,55 @@ def call(where: str | Transport, action: Any, /, *args: Any, **given: Any) -> An
     goal, opening = goal_and_connection(connect, where, action, args, given)
     with opening as client:
         return client.call(goal, **given)
+
+
+class BlockingServing(LoopBlock[tuple[str, ...], tuple[str, ...]]):
+    """Servers at their addresses, to be run by `with`, or until Ctrl-C: see `serve`."""
+
+    def forever(self) -> None:
+        """Serve until Ctrl-C, and then stop the servers: their goals end, and clients are told.
+
+        In another thread than the main one, this does not end.
+
+        Raises:
+            ActionError, TypeError, RuntimeError: As for the block of `serve`.
+        """
+        with suppress(KeyboardInterrupt), self:
+            Event().wait()
+
+
+def serve(
+    endpoints: Served | Iterable[Served],
+    *where: str | Transport,
+    watchers: Iterable[Watcher] = (),
+    **settings: Unpack[ServeKeywords],
+) -> BlockingServing:
+    """Serve functions and other endpoints for as long as a block lasts, or until Ctrl-C.
+
+        with serve(drive, "tcp://127.0.0.1:7400"):
+            ...
+
+        serve(drive, "tcp://127.0.0.1:7400").forever()
+
+    The servers run in an event loop of their own, in a thread that ends with the block; plain
+    functions run in further threads. The block gets the URLs. The arguments are those of
+    `fibaction.serve`.
+
+    Raises:
+        TransportError: An address cannot be used.
+        TypeError: A transport does not have such a setting; or, at the beginning of the block, as
+            for `fibaction.serve`.
+        RuntimeError: At the beginning of the block: an event loop runs in this thread, which the
+            block would block, or a server has been stopped.
+    """
+    transports = [transport_for(one, **settings) for one in where]
+    if any(transport.shares_event_loop for transport in transports):
+        raise TransportError(
+            "fibaction.blocking cannot serve at inproc://, whose clients share the server's event"
+            " loop: use an address such as tcp://127.0.0.1:7400"
+        )
+    # Only URLs take settings, and these have got them.
+    return BlockingServing(
+        lambda: fibaction._api.serve(endpoints, *transports, watchers=watchers),
+        lambda _loop, urls: urls,
+    )

@@ -1,13 +1,16 @@
-"""`Watcher`: the interface of metrics, traces and recordings, called by an action server."""
+"""The interfaces of metrics, traces and recordings: `Watcher`, which an action server calls, and
+`GoalTracer`, which a client calls.
+"""
 
 from __future__ import annotations
 
-from fibaction.border.abc import FeedbackItem
-from fibaction.types.action import ActionInfo
-from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Sender
-from fibaction.words.meta import Meta
+from abc import abstractmethod
+from typing import Any, Protocol
 
-__all__ = ["Watcher"]
+from fibaction.border.abc import FeedbackItem, GoalStream
+from fibaction.types.action import ActionInfo
+from fibaction.words.goals import CancelAnswer, GoalID, GoalInfo, Outcome, Parent, Sender
+from fibaction.words.meta import Meta
 
 
 class Watcher:
@@ -86,3 +89,38 @@ class Watcher:
 
     def closed(self, info: ActionInfo) -> None:
         """Take note that a server has stopped, after its last goal, or that its start failed."""
+
+
+class GoalSpan:
+    """The notes about one goal. Those of this class do nothing; one object serves all goals.
+
+    The first of `failed`, `ended` and `left` counts. None of the methods raises an error.
+    """
+
+    meta: Meta | None = None
+    """The text that goes with the goal."""
+
+    def accepted(self, stream: GoalStream) -> None:
+        """Note that the server has accepted the goal."""
+
+    def failed(self, error: BaseException) -> None:
+        """Note the error of a wait for the goal."""
+
+    def ended(self, outcome: Outcome[Any]) -> None:
+        """Note the outcome."""
+
+    def left(self, stream: GoalStream, error: BaseException | None = None) -> None:
+        """Note that the client leaves an accepted goal, because of that error if there is one."""
+
+
+NO_SPAN = GoalSpan()
+
+
+class GoalTracer(Protocol):
+    """A maker of spans for goals that are sent, such as `fibaction.observe.Tracing`."""
+
+    @abstractmethod
+    def sending(self, action: str, goal_id: GoalID, parent: Parent | None = None) -> GoalSpan:
+        """Return the span of a goal that is about to be sent, perhaps by the executor of a parent.
+        It raises no error.
+        """

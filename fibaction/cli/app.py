@@ -17,8 +17,7 @@ from typing import Any
 
 import click
 
-from fibaction.cli.arguments.addresses import ADDRESS
-from fibaction.cli.arguments.options import URL
+from fibaction.cli.arguments.options import ADDRESS, URL
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.lines import LogHandler
 from fibaction.cli.process.exit_at_once import exit_at_once

@@ -24,10 +24,10 @@ from msgspec.structs import replace
 
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
+from fibaction.border.watchers import NO_SPAN, GoalTracer
 from fibaction.client.attempts import Attempts, cancel_left
 from fibaction.client.events import Events, events_of
 from fibaction.client.goal import Blocks, ClientGoal, SendingGoal, leave_blocks
-from fibaction.client.goal_span import NO_SPAN, GoalTracer
 from fibaction.client.goal_step import SendingStep, StepEndpoint
 from fibaction.client.kept_connection import KeptEndpoint
 from fibaction.client.options import (

@@ -27,8 +27,8 @@ from fibaction._runtime.async_only import AsyncItems
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
+from fibaction.border.watchers import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts
-from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.types.action import Codec, FeedbackT
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.goals import Outcome

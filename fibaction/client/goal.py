@@ -30,9 +30,9 @@ import anyio
 from fibaction._runtime.async_only import AsyncBlock, AsyncItems, HasResult
 from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, GoalStream
+from fibaction.border.watchers import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts, cancel_left
 from fibaction.client.feedback_reader import LOOP, FeedbackReader
-from fibaction.client.goal_span import NO_SPAN, GoalSpan
 from fibaction.types.action import Action, FeedbackT, ResultT
 from fibaction.words.errors import ActionError, GoalAborted, GoalCanceled, UnknownGoal
 from fibaction.words.goals import CancelAnswer, GoalID, Outcome

@@ -15,12 +15,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from fibaction.interfaces.common_messages import advice, common_message
 from fibaction.interfaces.definitions import FieldDefinition, InterfaceError, MessageDefinition
 from fibaction.interfaces.packages import (
     MOST_BYTES,
     PACKAGE,
     SearchPath,
+    advice,
+    common_message,
     package_of,
     read_bytes,
 )

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import shortened
 from fibaction.border.abc import GoalStream, Meta
-from fibaction.border.watchers import Watcher
-from fibaction.client.goal_span import NO_SPAN, GoalSpan
+from fibaction.border.watchers import NO_SPAN, GoalSpan, Watcher
 from fibaction.words.errors import ActionError, GoalRejected, GoalTimeout, text_of
 from fibaction.words.extras import NeedsExtra
 from fibaction.words.goals import GoalID, GoalInfo, Outcome, Parent, Sender

@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from fibaction.schema.check import Check, Mismatch
+from fibaction.schema.check import Check, Extent, Mismatch, are_equal
 from fibaction.schema.keywords import frozen, in_json
-from fibaction.schema.steps import Extent, are_equal
 from fibaction.words.plain_data import is_list, is_map
 
 

@@ -7,12 +7,17 @@ from collections.abc import Collection, Sequence
 from typing import Any, TypeAlias
 
 from fibaction.schema.check import (
+    CONTAINERS,
     MAX_DEPTH,
     MAX_NESTING,
     Check,
+    CheckSteps,
     EnoughMismatches,
+    Extent,
     Mismatch,
+    are_equal,
     only_value,
+    text_steps,
 )
 from fibaction.schema.combinations import COMBINATIONS, false
 from fibaction.schema.json_schema import JsonSchema, SchemaError
@@ -26,7 +31,6 @@ from fibaction.schema.keywords import (
     is_of_type,
     size_in_bytes,
 )
-from fibaction.schema.steps import CONTAINERS, CheckSteps, Extent, are_equal, text_steps
 from fibaction.words.plain_data import is_list, is_map
 
 MAX_LEVELS = 10

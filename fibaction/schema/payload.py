@@ -26,11 +26,10 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction.schema.check import MAX_DEPTH, MAX_MISMATCHES, Check, EnoughMismatches, Path
+from fibaction.schema.check import MAX_DEPTH, MAX_MISMATCHES, Check, EnoughMismatches, Extent, Path
 from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 from fibaction.schema.mismatch_texts import field_name, sentences
 from fibaction.schema.parts import SchemaPart, SchemaParts
-from fibaction.schema.steps import Extent
 from fibaction.types.unsendable import unsendable
 
 __all__ = [

@@ -531,7 +531,7 @@ class Pressed:
 
 def test_ctrl_c_ends_a_server_that_serves_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr("fibaction.blocking._serving_block.Event", Pressed)
+    monkeypatch.setattr("fibaction.blocking._open_block.Event", Pressed)
     blocking_serve(press, "tcp://127.0.0.1:0").forever()
     assert signal.getsignal(signal.SIGINT) is before
     assert THREAD not in [thread.name for thread in threading.enumerate()]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.cli.arguments.addresses import address_of, addresses, config_file
+from fibaction.cli.arguments.options import address_of, addresses, config_file
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from tests.cli.conftest import Invoke
 

@@ -16,7 +16,7 @@ import pytest
 
 from fibaction import ActionServer, GoalHandle
 from fibaction.schema import turns
-from fibaction.schema.steps import STEPS, STEPS_PER_VALUE, TURN, Extent
+from fibaction.schema.check import STEPS, STEPS_PER_VALUE, TURN, Extent
 from tests.doors import DOORS
 from tests.hostile.documents import ANYTHING, DOCUMENTS, NUMBERS, TREE
 

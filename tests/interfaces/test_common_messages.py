@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from fibaction.interfaces import common_messages
-from fibaction.interfaces.common_messages import common_message
+from fibaction.interfaces import packages
 from fibaction.interfaces.definitions import InterfaceError
 from fibaction.interfaces.files import read_action
+from fibaction.interfaces.packages import common_message
 from fibaction.interfaces.structs import make_structs
 from fibaction_transports.cdr.type_hashes import type_hash
 
@@ -31,9 +31,9 @@ HASHES = {
 def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
-    common_messages._store.cache_clear()
+    packages._store.cache_clear()
     yield
-    common_messages._store.cache_clear()
+    packages._store.cache_clear()
 
 
 @pytest.mark.parametrize("type_name", HASHES)
@@ -73,7 +73,7 @@ def test_without_the_library_there_are_none_and_an_error_says_what_to_install(
             with pytest.raises(InterfaceError) as caught:
                 read_action(path)
         assert str(caught.value).endswith(ending)
-    common_messages._store.cache_clear()
+    packages._store.cache_clear()
     path.write_text("geometry_msgs/Thing it\n---\n---\n")
     with pytest.raises(InterfaceError, match=r"in .*test_without_the_library\S*$"):
         read_action(path)

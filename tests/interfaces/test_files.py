@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from fibaction.interfaces import common_messages
+from fibaction.interfaces import packages
 from fibaction.interfaces.definitions import InterfaceError
 from fibaction.interfaces.files import (
     inside_out,
@@ -27,7 +27,7 @@ def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
     library = SimpleNamespace(fielddefs={})  # it has no messages
-    monkeypatch.setattr(common_messages, "_store", lambda: library)
+    monkeypatch.setattr(packages, "_store", lambda: library)
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def test_a_common_message_of_ros_needs_no_file_if_the_library_is_installed(
         fielddefs=["std_msgs/msg/Header"],
         generate_msgdef=lambda name, ros_version: ("string frame_id\n" + "=" * 80 + "\nMSG: x", ""),
     )
-    monkeypatch.setattr(common_messages, "_store", lambda: library)
+    monkeypatch.setattr(packages, "_store", lambda: library)
     header = read_action(with_goal(lift, "std_msgs/Header header")).goal.nested["header"]
     assert header.definition.text == "string frame_id\n"
     assert header.type_name == "std_msgs/msg/Header"

@@ -34,7 +34,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.client.goal_span import NO_SPAN
+from fibaction.border.watchers import NO_SPAN
 from fibaction.observe.otel import Tracing
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.meta import DETACHED

@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from fibaction.interfaces import common_messages, files
+from fibaction.interfaces import files, packages
 from fibaction.interfaces.definitions import FieldType
 from fibaction_transports.cdr.type_hashes import type_hash
 
@@ -14,7 +14,7 @@ SHARE = Path(sys.prefix, "share")
 
 
 def test_each_common_message_has_the_hash_and_the_defaults_of_ros(tmp_path: Path) -> None:
-    store = common_messages._store()
+    store = packages._store()
     compared = 0
     # Every package of the library that is installed here, too; `_msgs` leaves out ROS's inner ones.
     for path in sorted(SHARE.glob("*_msgs/msg/*.json")):
@@ -24,12 +24,11 @@ def test_each_common_message_has_the_hash_and_the_defaults_of_ros(tmp_path: Path
         if type_name not in store.fielddefs:
             continue
         package, _, name = type_name.split("/")
-        text = common_messages.common_message(package, name)
+        text = packages.common_message(package, name)
         assert text is not None
         texts = {"a_msgs/action/Go": f"{package}/{name} it\n---\n---\n"}
         texts |= {
-            one: common_messages.common_message(*one.split("/msg/")) or ""
-            for one in store.fielddefs
+            one: packages.common_message(*one.split("/msg/")) or "" for one in store.fielddefs
         }
         ours = files.read_action_texts("a_msgs/action/Go", texts).goal.nested["it"]
         (expected,) = [

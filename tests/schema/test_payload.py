@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
+from fibaction.schema.check import TURN, CheckSteps
 from fibaction.schema.json_schema import LISTS_OF_PARTS, PARTS, REFERENCES
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError, to_json
-from fibaction.schema.steps import TURN, CheckSteps
 from tests.cli.robot import Gripper, Pick, Pose, Sucker
 
 Aware = Annotated[datetime.datetime, msgspec.Meta(tz=True)]

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from fibaction.schema.json_schema import SchemaError
-from fibaction.schema.steps import (
+from fibaction.schema.check import (
     FILLED,
     FILLED_PER_VALUE,
     STEPS,
@@ -15,6 +14,7 @@ from fibaction.schema.steps import (
     Extent,
     are_equal,
 )
+from fibaction.schema.json_schema import SchemaError
 
 
 def test_the_size_of_data_counts_text_by_its_length() -> None:

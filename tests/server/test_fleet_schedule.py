@@ -23,8 +23,8 @@ from fibaction import (
     SqliteStore,
 )
 from fibaction.border.goal_store import KeySlots, NoFleet
-from fibaction.server.scheduling.fleet_scheduler import NO_KEY, FleetScheduler, portable
 from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
+from fibaction.server.scheduling.shared_scheduler import NO_KEY, FleetScheduler, portable
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 

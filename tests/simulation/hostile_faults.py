@@ -10,7 +10,7 @@ from fibaction.feeds.feedback_log import FeedbackLog
 from fibaction.feeds.status_broadcast import StatusBroadcast, StatusCursor
 from fibaction.wire.auth import AccessPolicy, Peer, Permission
 from fibaction.wire.frames import MAX_FRAME, FrameReader
-from fibaction.wire.heartbeat import Heartbeat
+from fibaction.wire.link import Heartbeat
 from fibaction.wire.messages import FromClient, Hello
 from fibaction.wire.server.session import Session
 from fibaction.wire.server.session_client import SessionClient

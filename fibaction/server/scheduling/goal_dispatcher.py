@@ -43,10 +43,9 @@ from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
 from fibaction.server.execution.abandoned import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
-from fibaction.server.scheduling.fleet_scheduler import portable
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduled_goals import Act, Order
-from fibaction.server.scheduling.shared_scheduler import SharedScheduler
+from fibaction.server.scheduling.shared_scheduler import SharedScheduler, portable
 from fibaction.types.action import GoalT
 from fibaction.words.errors import FAILURES, GoalRejected, text_of
 from fibaction.words.goals import GoalID, Sender

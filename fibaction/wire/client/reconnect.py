@@ -4,7 +4,7 @@
   from `FIRST_PAUSE` to `LONGEST_PAUSE`, shortened by chance to half at most, so that the clients of
   a server that comes back do not all come at the same moment.
 - An open connection that is lost, since it was closed or its server was silent for 4 of its
-  heartbeats (4 s by default, see `heartbeat`), is opened again from `FIRST_PAUSE` on. Calls wait
+  heartbeats (4 s by default, see `Heartbeat`), is opened again from `FIRST_PAUSE` on. Calls wait
   for it for `reconnect_timeout` seconds, *patience* here, and then end with `ConnectionLost`. The
   attempts continue after that; meanwhile new calls fail at once, with the last attempt's error.
 - Without `reconnect`, and after an error that would come again (a rejected token, another protocol,

@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction_transports.mcp.list_changes import SESSION_HEADER, ListChanges
+from fibaction_transports.mcp.tool_server import SESSION_HEADER, ListChanges
 
 pytestmark = pytest.mark.asyncio
 

@@ -6,6 +6,10 @@ all clients are listed while they run, and can be read for as long as a server k
 
 A client without a handshake may subscribe. It is told of the goals that the bridge follows, which
 are those that it has sent, and those that someone has asked about: at most once in `PERIOD`.
+
+Clients are told that the list of tools has changed (`ListChanges`). A client with a handshake (MCP
+up to 2025-11-25) gets a notification on its connection. A client without one (from 2026-07-28 on)
+asks for a stream of changes by `subscriptions/listen`.
 """
 
 from __future__ import annotations
@@ -18,7 +22,15 @@ import anyio
 from mcp.server import NotificationOptions, Server
 from mcp.server.context import ServerRequestContext
 from mcp.server.models import InitializationOptions
-from mcp.server.subscriptions import ResourcesListChanged, ResourceUpdated
+from mcp.server.session import ServerSession
+from mcp.server.subscriptions import (
+    InMemorySubscriptionBus,
+    ListenHandler,
+    ResourcesListChanged,
+    ResourceUpdated,
+    ServerEvent,
+    ToolsListChanged,
+)
 from mcp.shared.exceptions import MCPError
 from mcp_types import (
     CancelTaskRequestParams,
@@ -34,6 +46,7 @@ from mcp_types import (
     TextResourceContents,
 )
 from mcp_types.jsonrpc import INVALID_PARAMS
+from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
 from fibaction import __version__
 from fibaction.border.abc import Notifier
@@ -44,7 +57,6 @@ from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports.mcp.answers import ToolError, find_goal, goal_answer, json_text
 from fibaction_transports.mcp.calls import ToolCalls
 from fibaction_transports.mcp.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams
-from fibaction_transports.mcp.list_changes import ListChanges
 from fibaction_transports.mcp.tool_list import (
     CANCEL,
     SEND,
@@ -55,12 +67,65 @@ from fibaction_transports.mcp.tool_list import (
     tool_list,
 )
 
+MOST_SESSIONS = 1000
+"""Sessions that are told; the oldest of more are forgotten. Over HTTP a client may just vanish."""
+TELL_TIMEOUT = 5.0
+"""Seconds that a client has to take the notification."""
+SESSION_HEADER = "mcp-session-id"
 SCHEME = "goal://"
 MOST_LISTED = 100
 """Goals that are listed: the newest ones."""
 PERIOD = 1.0
 """Seconds between two notifications about the same goal, at least."""
 JSON = "application/json"
+MOST_PIECES = 256
+"""Feedback messages of a goal that are kept, for the pieces of a text."""
+
+
+class ListChanges:
+    """The clients that know the list of tools."""
+
+    def __init__(
+        self, *, most_sessions: int = MOST_SESSIONS, tell_timeout: float = TELL_TIMEOUT
+    ) -> None:
+        self._most_sessions = most_sessions
+        self._tell_timeout = tell_timeout
+        self._bus = InMemorySubscriptionBus()
+        self.listen = ListenHandler(self._bus)
+        """The handler of `subscriptions/listen`."""
+        self._sessions: dict[Any, ServerSession] = {}
+
+    @asynccontextmanager
+    async def connection(self) -> AsyncGenerator[object, None]:
+        """Give a connection its identity, while it lasts."""
+        identity = object()
+        try:
+            yield identity
+        finally:
+            self._sessions.pop(identity, None)
+
+    def note(self, context: ServerRequestContext[Any, Any]) -> None:
+        """Note that a client has read the list."""
+        if context.protocol_version in MODERN_PROTOCOL_VERSIONS:
+            return
+        headers = getattr(context.request, "headers", {})
+        key = headers.get(SESSION_HEADER, context.lifespan_context)
+        self._sessions.pop(key, None)
+        self._sessions[key] = context.session
+        if len(self._sessions) > self._most_sessions:
+            del self._sessions[next(iter(self._sessions))]
+
+    async def publish(self, event: ServerEvent) -> None:
+        """Tell the clients that have asked for a stream of such changes."""
+        await self._bus.publish(event)
+
+    async def tell(self) -> None:
+        """Tell all clients that the list has changed."""
+        await self.publish(ToolsListChanged())
+        with anyio.move_on_after(self._tell_timeout):
+            async with anyio.create_task_group() as tasks:
+                for session in self._sessions.values():
+                    tasks.start_soon(session.send_tool_list_changed)
 
 
 class GoalResources:
@@ -153,10 +218,6 @@ class GoalChanges:
             if is_other_list:
                 await self._told.publish(ResourcesListChanged())
             await anyio.sleep(PERIOD)
-
-
-MOST_PIECES = 256
-"""Feedback messages of a goal that are kept, for the pieces of a text."""
 
 
 class _McpServer(Server[object]):

@@ -33,8 +33,7 @@ from anyio import CancelScope, create_task_group
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import REASON, clean_logger, excerpt
 from fibaction.wire.channel import LEAVE, Line
-from fibaction.wire.heartbeat import Heartbeat
-from fibaction.wire.link import PING
+from fibaction.wire.link import PING, Heartbeat
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
@@ -45,15 +44,18 @@ from fibaction.words.errors import (
 )
 from fibaction_transports.web.rosbridge.client.frames import INVALID, OPENED, partial_messages
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
-from fibaction_transports.web.rosbridge.client.operations import (
+from fibaction_transports.web.rosbridge.operations import (
     ActionFeedback,
     ActionResult,
+    ClientID,
+    Fragment,
+    Ignored,
     ServerOperation,
     ServiceResponse,
     StatusMessage,
+    Wrong,
     read_from_server,
 )
-from fibaction_transports.web.rosbridge.operations import ClientID, Fragment, Ignored, Wrong
 
 MOST_NOTES = 20
 """Different lines about the server that one connection writes into the log."""
