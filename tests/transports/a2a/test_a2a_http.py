@@ -17,7 +17,7 @@ from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.settings import Limits
 from fibaction.wire.tls_files import TlsFiles
 from fibaction_transports.a2a import A2aHttpTransport
-from fibaction_transports.a2a.a2a_app import CARD_PATH
+from fibaction_transports.a2a.a2a_http_transport import CARD_PATH
 from tests.support.certificates import pems
 from tests.support.loop_times import LoopTimes
 from tests.transports.a2a.agent_talk import (

@@ -7,6 +7,7 @@ rejected.
 
 from __future__ import annotations
 
+from contextvars import ContextVar
 from typing import Any, NamedTuple
 
 from a2a.types import Part
@@ -30,6 +31,30 @@ class Document(NamedTuple):
     kind: str
     """`data` or `text`; anything else is empty."""
     value: Any = None
+
+
+class AskedRequest(NamedTuple):
+    """The request that is being answered."""
+
+    url: str
+    """The URL of this server, as its client calls it."""
+    client: str | None
+    """The name that belongs to the client's token; None without a token."""
+    documents: tuple[Document, ...]
+    """The documents of its message, one for each part."""
+
+    @property
+    def is_known(self) -> bool:
+        """True if the client has a token."""
+        return self.client is not None
+
+
+ASKED: ContextVar[AskedRequest] = ContextVar("ASKED")
+
+
+def asked_request() -> AskedRequest:
+    """Return the request that the calling task answers."""
+    return ASKED.get()
 
 
 def take_documents(request: dict[str, Any]) -> tuple[Document, ...]:

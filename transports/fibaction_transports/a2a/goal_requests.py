@@ -56,8 +56,8 @@ from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import START, AgentGoal, AgentGoals, Position
 from fibaction_transports._agents.agent_policy import AgentPolicy
 from fibaction_transports._agents.questions import UnshownGoal, question_about
-from fibaction_transports.a2a.a2a_app import asked_request
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
+from fibaction_transports.a2a.documents import asked_request
 from fibaction_transports.a2a.goal_messages import goal_id_of, goal_in
 from fibaction_transports.a2a.questions import Question, Questions, answer_in
 from fibaction_transports.a2a.task_views import (
@@ -185,14 +185,9 @@ class GoalRequests(RequestHandler):
     async def on_create_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
         raise PushNotificationNotSupportedError
 
-    async def on_get_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
-        raise PushNotificationNotSupportedError
-
-    async def on_list_task_push_notification_configs(self, params: Any, context: Any) -> NoReturn:
-        raise PushNotificationNotSupportedError
-
-    async def on_delete_task_push_notification_config(self, params: Any, context: Any) -> NoReturn:
-        raise PushNotificationNotSupportedError
+    on_get_task_push_notification_config = on_create_task_push_notification_config
+    on_list_task_push_notification_configs = on_create_task_push_notification_config
+    on_delete_task_push_notification_config = on_create_task_push_notification_config
 
     # Their parts
 
