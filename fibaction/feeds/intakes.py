@@ -12,7 +12,7 @@ from fibaction.words.intake import Intake, IntakeMode
 
 ASKED_AT_ONCE = 100
 """Actions that are asked at the same time."""
-TIMEOUT = 2.0
+INTAKES_TIMEOUT = 2.0
 """Seconds after which a list does not wait for more answers."""
 
 
@@ -33,7 +33,7 @@ async def intakes_of(endpoints: Iterable[Endpoint]) -> dict[str, Intake]:
         if intake.mode is not IntakeMode.OPEN:
             found[endpoint.info.name] = intake
 
-    with anyio.move_on_after(TIMEOUT):
+    with anyio.move_on_after(INTAKES_TIMEOUT):
         async with anyio.create_task_group() as tasks:
             for endpoint in endpoints:
                 if endpoint.absence is None:

@@ -34,7 +34,7 @@ from fibaction.words.goal_query import GoalQuery
 ValueT = TypeVar("ValueT")
 
 TRIES = 50
-PAUSE = 0.02
+COPY_PAUSE = 0.02
 """Seconds after which a file that was being written is copied again."""
 TICK = 50_000_000
 """Nanoseconds in which a file can change more than once without a change of its time."""
@@ -71,7 +71,7 @@ async def _with_copy(
         made = await to_thread.run_sync(_try, path, failing, target, use)
         if made:
             return made[0]
-        await anyio.sleep(PAUSE)
+        await anyio.sleep(COPY_PAUSE)
     raise StoreError(f"{failing}: it changes all the time; try again when there is less work")
 
 

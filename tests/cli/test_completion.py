@@ -153,6 +153,6 @@ def test_names_that_a_shell_would_change_are_not_offered() -> None:
 
 
 def test_the_names_of_many_actions_are_offered_in_part() -> None:
-    many = [ActionInfo(f"a{number}") for number in range(completion.MOST + 1)]
+    many = [ActionInfo(f"a{number}") for number in range(completion.MOST_OFFERED + 1)]
 
     assert completion.plain(many) == many[:-1]

@@ -35,7 +35,7 @@ class Forbidden(ForwardingEndpoint):
 async def test_only_what_is_not_open_is_told_and_nobody_waits_for_one_that_does_not_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(intakes, "TIMEOUT", 0.2)
+    monkeypatch.setattr(intakes, "INTAKES_TIMEOUT", 0.2)
     async with ActionServer(FIBONACCI, fibonacci) as server:
         assert await intakes_of([server]) == {}
         paused = await server.change_intake(IntakeChange(IntakeMode.HOLD))

@@ -99,7 +99,7 @@ def test_outcomes_whose_time_is_over_are_not_shown(path: Path) -> None:
 def test_a_file_that_changes_all_the_time_is_an_error(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_copy, "PAUSE", 0)
+    monkeypatch.setattr(_copy, "COPY_PAUSE", 0)
     monkeypatch.setattr(_copy, "TICK", 10**18)
     path.touch()
     assert why_not(path) == "it changes all the time; try again when there is less work"

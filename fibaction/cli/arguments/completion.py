@@ -1,7 +1,7 @@
 """Completion in the shell from the server that the URL names: names and types of actions, goals to
 fill in, and IDs of goals.
 
-Verbs and options are completed by click itself. A server that does not answer within `TIMEOUT`
+Verbs and options are completed by click itself. A server that does not answer within `ASK_TIMEOUT`
 completes nothing, since a user waits at a prompt.
 
 The scripts of the shells insert names unquoted, and a server may send any name. So only names that
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from fibaction.cli.output.goal_table import GoalRow
     from fibaction.types.action import ActionInfo
 
-TIMEOUT = 5.0
+ASK_TIMEOUT = 5.0
 """Seconds for the answer of a server."""
-MOST = 1000
+MOST_OFFERED = 1000
 """Actions whose names are completed, and goals."""
 
 _PLAIN = re.compile(r"[A-Za-z0-9_/]{0,200}", re.ASCII)
@@ -137,10 +137,12 @@ def _goal_ids(ctx: click.Context, name: str | None, *, active: bool) -> list[str
         rows = anyio.run(goals_at, url_of(ctx), name)
     except (ActionError, Failure):
         return []
-    return [row.goal_id for row in reversed(rows) if row.info.status.is_active or not active][:MOST]
+    return [row.goal_id for row in reversed(rows) if row.info.status.is_active or not active][
+        :MOST_OFFERED
+    ]
 
 
-async def goals_at(url: str, name: str | None, timeout: float = TIMEOUT) -> list[GoalRow]:
+async def goals_at(url: str, name: str | None, timeout: float = ASK_TIMEOUT) -> list[GoalRow]:
     """Return the goals of an action, or of all, at a URL; none without an answer in time.
 
     Raises:
@@ -165,12 +167,12 @@ def reachable(url: str) -> list[ActionInfo]:
 
 
 def plain(infos: Iterable[ActionInfo]) -> list[ActionInfo]:
-    """Return the first `MOST` actions whose names and types mean themselves in a shell."""
+    """Return the first `MOST_OFFERED` actions whose names and types mean themselves in a shell."""
     named = (info for info in infos if _PLAIN.fullmatch(info.name))
-    return list(islice((info for info in named if _PLAIN.fullmatch(info.type_name)), MOST))
+    return list(islice((info for info in named if _PLAIN.fullmatch(info.type_name)), MOST_OFFERED))
 
 
-async def actions_at(url: str, timeout: float = TIMEOUT) -> list[ActionInfo]:
+async def actions_at(url: str, timeout: float = ASK_TIMEOUT) -> list[ActionInfo]:
     """Return the actions at a URL; none if there is no answer in time.
 
     Raises:

@@ -32,7 +32,7 @@ from fibaction.words.statuses import GoalStatus
 
 ACTIONS_ASKED_AT_ONCE = 100
 """Actions that are asked at the same time: a server limits the requests of a connection."""
-LIMIT = 100
+USUAL_LIMIT = 100
 """Goals that are listed if nothing else is said."""
 STATUS_WORDS = {word.lower(): statuses for word, statuses in STATUSES.items()}
 """The statuses that each word of `--status` means."""
@@ -81,7 +81,7 @@ class GoalChoice(NamedTuple):
         return shown(row.action) if self.sort == BY_ACTION else sort_key(self.sort, row.info)
 
 
-DEFAULT = GoalChoice(limit=LIMIT)
+DEFAULT = GoalChoice(limit=USUAL_LIMIT)
 """The goals that are listed if nothing else is said."""
 
 
@@ -116,9 +116,9 @@ def choice_options(function: Callable[..., None]) -> Callable[..., None]:
     @click.option(
         "--limit",
         type=click.IntRange(min=0),
-        default=LIMIT,
+        default=USUAL_LIMIT,
         help="List at most so many goals: active and newest ones, or the last of --sort; 0 for"
-        f" all.  [default: {LIMIT}]",
+        f" all.  [default: {USUAL_LIMIT}]",
     )
     @click.option(
         "--past",

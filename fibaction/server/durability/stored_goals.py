@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from fibaction.server.settings import ActionServerSettings
 
 RESTARTED = "the server was restarted"
-NAMED = 3
+MOST_NAMED = 3
 """The goals whose IDs are in the error."""
 HISTORY_FAILED = "the server cannot read the history of its goals"
 logger = clean_logger("fibaction.server")
@@ -170,9 +170,9 @@ class ReadableCheck(Generic[GoalT, FeedbackT, ResultT]):
         return self._dispatcher.failure_of(request, stored.sender)
 
     def _error(self, failures: dict[GoalID, str]) -> StoreError:
-        named = ", ".join(map(str, list(failures)[:NAMED]))
+        named = ", ".join(map(str, list(failures)[:MOST_NAMED]))
         goals = "1 goal" if len(failures) == 1 else f"{len(failures):,} goals"
-        more = ", and others" if len(failures) > NAMED else ""
+        more = ", and others" if len(failures) > MOST_NAMED else ""
         reason = excerpt(next(iter(failures.values())), 400)
         return StoreError(
             f"the store has {goals} that this version of action {self._action.name!r} cannot read"

@@ -166,7 +166,7 @@ async def test_a_new_goal_is_passed_on_to_a_worker_that_can_read_it(
 async def test_goals_that_no_living_worker_can_read_wait_until_a_worker_is_told_to_end_them(
     shared_broker: NatsServer, fleet: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(unreadable_goals, "LEASES", 2)
+    monkeypatch.setattr(unreadable_goals, "LEASES_UNTIL_END", 2)
     url = shared_broker.url(fleet, "?lease=2")
     async with AsyncExitStack() as stack:
         connection = await stack.enter_async_context(connect(url))

@@ -21,7 +21,7 @@ from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRe
 from fibaction_transports.nats.names import FleetNames, last_token
 from fibaction_transports.nats.records import LeaseEntry, lease_entry
 
-PAUSE = 0.5
+WATCH_PAUSE = 0.5
 """Seconds between attempts to watch the leases."""
 
 logger = clean_logger("fibaction.nats")
@@ -175,7 +175,7 @@ class FleetWorkers:
                     await self._follow(watch)
             except BrokerAway as exc:
                 logger.debug("the leases cannot be watched: %s", exc)
-                await anyio.sleep(PAUSE)
+                await anyio.sleep(WATCH_PAUSE)
 
     async def _follow(self, watch: BrokerWatch) -> None:
         while True:
@@ -205,7 +205,7 @@ class FleetWorkers:
 
     async def _look_later(self) -> None:
         while True:
-            await anyio.sleep(PAUSE)
+            await anyio.sleep(WATCH_PAUSE)
             try:
                 return await self._look_again()
             except BrokerAway as exc:

@@ -57,7 +57,7 @@ T = TypeVar("T")
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 1.0
 """Seconds between two looks at a record: short at first, for a takeover that is under way."""
-LOOKS = 32
+RECORDS_READ_AT_ONCE = 32
 """Records that are read at the same time: a lost worker may have had very many goals."""
 
 logger = clean_logger("fibaction.nats")
@@ -91,7 +91,7 @@ class CallRoutes:
         self._tasks = tasks
         self.patience = settings.reconnect_timeout if settings.reconnect else 0.0
         """Seconds that a call waits for a worker that has its goal."""
-        self._looks = anyio.CapacityLimiter(LOOKS)
+        self._looks = anyio.CapacityLimiter(RECORDS_READ_AT_ONCE)
         self._lost: dict[RemoteGoal, ActionError] = {}
         self._is_closed = False
         workers.when_gone(self.connections.end)

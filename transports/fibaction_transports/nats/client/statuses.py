@@ -44,7 +44,7 @@ from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRe
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
 from fibaction_transports.nats.names import FleetNames, last_token
 from fibaction_transports.nats.records import GoalEntry, goal_entry
-from fibaction_transports.nats.workers import PAUSE, FleetWorkers
+from fibaction_transports.nats.workers import WATCH_PAUSE, FleetWorkers
 
 MOST_PLACES = 10_000
 """Goals whose places one worker is asked for, at most."""
@@ -178,7 +178,7 @@ class FleetStatuses:
                         await self._read(watch)
                 except BrokerAway as exc:
                     logger.debug("the records of %s cannot be watched: %s", self._action, exc)
-                    await anyio.sleep(PAUSE)
+                    await anyio.sleep(WATCH_PAUSE)
 
     def _watched(self) -> AbstractAsyncContextManager[BrokerWatch]:
         names = self._shared.names

@@ -57,7 +57,7 @@ from fibaction_transports.nats.worker.record_writes import KeptOutcome
 from fibaction_transports.nats.worker.unreadable_goals import NotesForOthers, UnreadableGoals
 from fibaction_transports.nats.workers import FleetWorkers
 
-AT_ONCE = 16
+TAKEN_AT_ONCE = 16
 """The number of lost goals of an action that a worker takes over at the same time."""
 BEGIN_TIMEOUT = 1.0
 """Seconds after which a goal that was taken and has not begun is offered to others."""
@@ -203,7 +203,7 @@ class Takeover(MemberPart):
     async def _take_left(
         self, journal: FleetJournal, others: NotesForOthers, tasks: TaskGroup
     ) -> None:
-        limit = CapacityLimiter(AT_ONCE)
+        limit = CapacityLimiter(TAKEN_AT_ONCE)
         async with aclosing(self._broker.notes(self._names.left(journal.action))) as notes:
             async for note in notes:  # pragma: no branch  # they continue until a cancel
                 await limit.acquire_on_behalf_of(note)

@@ -54,13 +54,13 @@ from fibaction_transports.nats.workers import FleetWorkers
 
 HOLD, LONGEST_HOLD = 1.0, 4.0
 """Seconds for which a note is held; one that is not done comes again after five."""
-RATE = 100.0
+NOTES_PER_SECOND = 100.0
 """The number of notes in a second above which they are held for longer."""
 MOST_KNOWN = 100_000
 """The number of goals that are remembered."""
-LOOKS = 64
+LOOKED_AT_IN_A_LEASE = 64
 """The number of goals that are looked at in each lease."""
-LEASES = 10
+LEASES_UNTIL_END = 10
 """The number of leases for which a goal waits before it is ended."""
 CAN_RUN, CANNOT_RUN = b"yes", b"no"
 """The answers to the question whether a worker can run a goal."""
@@ -102,7 +102,7 @@ class NotesForOthers:
         elif (subject, goal_id) in self._held:
             note.done()
         else:
-            longest = min(max(HOLD, len(self._held) / RATE), LONGEST_HOLD)
+            longest = min(max(HOLD, len(self._held) / NOTES_PER_SECOND), LONGEST_HOLD)
             self._pauses[goal_id] = min(2 * pause, longest)
             self._held.add((subject, goal_id))
             self._tasks.start_soon(self._hold, subject, note, goal_id, pause)
@@ -188,7 +188,7 @@ class UnreadableGoals:
         them are not left any more.
         """
         before = len(self._known)
-        for goal_id in tuple(islice(self._known, LOOKS)):
+        for goal_id in tuple(islice(self._known, LOOKED_AT_IN_A_LEASE)):
             is_left = await self._is_left(goal_id, self._known[goal_id].since)
             unread = self._known.pop(goal_id)
             if is_left:
@@ -203,7 +203,7 @@ class UnreadableGoals:
         record, entry = found
         if not self._journal.obstacle(entry.goal):
             return False
-        is_due = self._ends and current_time() >= since + LEASES * self._membership.lease
+        is_due = self._ends and current_time() >= since + LEASES_UNTIL_END * self._membership.lease
         if is_due and not await self._can_run_elsewhere(goal_id):
             return not await self._journal.take(record, entry.goal)
         return True

@@ -41,7 +41,7 @@ from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover
 from fibaction_transports.nats.workers import FleetWorkers
 
-MOST = 16
+MOST_OFFERED = 16
 """The largest number of goals of one offer."""
 
 
@@ -124,7 +124,7 @@ class Offers(MemberPart):
         except ProtocolError:
             return
         # Without room by now, one goal is sent here, and then elsewhere.
-        goals = max(1, min(asked.goals, MOST, sum(self._room(action))))
+        goals = max(1, min(asked.goals, MOST_OFFERED, sum(self._room(action))))
         self._broker.publish(message.reply, encode(RoomOffer(self._membership.worker, int(goals))))
 
 

@@ -42,7 +42,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
 )
 from fibaction_transports.web.rosbridge.types.action_values import ActionValues, arguments_text
 
-PAUSE = 0.5
+LOOK_PAUSE = 0.5
 """Seconds between two looks for a server that is not there."""
 LARGEST_GOAL = 10_000_000
 """Bytes of the largest message that rosbridge servers accept, if nothing else is set there."""
@@ -228,4 +228,4 @@ class RosbridgeEndpoint(Endpoint):
             except (ServerNotFound, ConnectionLost):
                 if self._keeper.is_closed:
                     raise
-            await anyio.sleep(max(0.0, began + PAUSE - current_time()))
+            await anyio.sleep(max(0.0, began + LOOK_PAUSE - current_time()))
