@@ -8,7 +8,8 @@ from typing import cast
 
 import anyio
 
-from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalStatus
+from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalInfo, GoalStatus
+from fibaction.border.abc import StatusStream
 from fibaction.testing.contract.fibonacci import Feedback, Goal, Result
 
 Items = AsyncGenerator[Feedback | Result, None]
@@ -40,6 +41,14 @@ class Steps:
         finally:
             self.ended_as.append(goal.status)
         yield Result([goal.request.order])
+
+
+async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
+    """Return the next goal that is told with a status."""
+    while (info := await statuses.receive()) is not None:
+        if info.status is status:
+            return info
+    raise AssertionError(f"no {status.name} came")
 
 
 async def ends_without_a_result(goal: GoalHandle[Goal]) -> Items:

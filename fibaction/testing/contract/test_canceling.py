@@ -21,8 +21,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import StatusStream
-from fibaction.testing.contract.executors import Items, Steps
+from fibaction.testing.contract.executors import Items, Steps, next_with
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.matching import End
@@ -530,16 +529,9 @@ async def test_leaving_the_block_early_cancels_the_goal(reach: Reach) -> None:
         with await client.endpoint.status() as statuses:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(client.call, Goal(1))
-                await first_with(statuses, GoalStatus.EXECUTING)
+                await next_with(statuses, GoalStatus.EXECUTING)
                 tasks.cancel_scope.cancel()
-            await first_with(statuses, GoalStatus.CANCELING)
-
-
-async def first_with(statuses: StatusStream, status: GoalStatus) -> None:
-    while (info := await statuses.receive()) is not None:
-        if info.status is status:
-            return
-    raise AssertionError(f"the statuses ended without {status.name}")
+            await next_with(statuses, GoalStatus.CANCELING)
 
 
 @pytest.mark.promise("ERROR-3")

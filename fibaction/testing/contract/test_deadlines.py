@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
@@ -32,14 +32,13 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
-from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.executors import Items, Steps
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 
 Client = ActionClient[Goal, Feedback, Result]
-Items = AsyncGenerator[Feedback | Result, None]
 AT_ONCE = Retry(delay=0)
 
 ACCEPTED = 1.5

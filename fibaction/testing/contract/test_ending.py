@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator
 
 import anyio
 import pytest
@@ -14,7 +13,6 @@ from fibaction import (
     GoalAborted,
     GoalCanceled,
     GoalHandle,
-    GoalInfo,
     GoalRejected,
     GoalStatus,
     Outcome,
@@ -25,14 +23,13 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
+from fibaction.testing.contract.executors import Items, next_with
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach, running
 
 pytestmark = pytest.mark.anyio
-
-Items = AsyncGenerator[Feedback | Result, None]
 
 
 async def forever(goal: GoalHandle[Goal]) -> Items:
@@ -85,13 +82,6 @@ async def test_a_list_of_goals_has_their_results_if_they_are_asked_for(reach: Re
         assert [info.result for info in await client.goals()] == [None, None]
         infos = await client.goals(results=True)
         assert [info.result for info in infos] == [Result([0, 1]), Result([0, 1, 1])]
-
-
-async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
-    while (info := await statuses.receive()) is not None:
-        if info.status is status:
-            return info
-    raise AssertionError(f"no {status.name} came")
 
 
 @pytest.mark.promise("STATUS-5", "STATUS-8", "RESULT-3", "RESULT-8")

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncGenerator
 from typing import Any
 
 import anyio
 import pytest
 
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
-from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.executors import Items, Steps
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
-
-Items = AsyncGenerator[Feedback | Result, None]
 
 
 def numbers(feedback: list[Feedback]) -> list[int]:

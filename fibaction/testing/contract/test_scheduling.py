@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator
 from typing import Any
 
 import anyio
@@ -22,12 +21,12 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
+from fibaction.testing.contract.executors import Items
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
 
-Items = AsyncGenerator[Feedback | Result, None]
 Client = ActionClient[Goal, Feedback, Result]
 Sent = ClientGoal[Feedback, Result]
 
