@@ -108,29 +108,42 @@ def typed_dict(name: str, base: str, about: str, types: dict[str, str]) -> str:
     return f'class {name}({base}, total=False):\n    """{about}"""\n\n{fields}\n'
 
 
+def typed_dict_of(name: str, about: str, types: dict[str, str]) -> str:
+    """The text of a `TypedDict` with these settings: those of as many transports as are whole in
+    it, and the rest.
+    """
+    bases: list[type[TransportSettings]] = []
+    for kind in reversed(with_bases(settings_of_transports())):
+        is_whole = kind.types().items() <= types.items()
+        if is_whole and not any(issubclass(base, kind) for base in bases):
+            bases.insert(0, kind)
+    known = {setting for base in bases for setting in base.types()}
+    rest = {setting: written for setting, written in types.items() if setting not in known}
+    return typed_dict(name, ", ".join(map(keywords_of, bases)), about, rest)
+
+
 def made() -> str:
     """The text of the module."""
     own = settings_of_transports()
     kinds = with_bases(own)
-    parts = [
-        typed_dict(
-            "ConnectKeywords",
-            "TypedDict",
-            "The settings that `connect` passes on to the transport of a URL.",
-            joined((kind for kind in own if kind.for_clients), "only_for_servers"),
-        ),
-        typed_dict(
-            "ServeKeywords",
-            "TypedDict",
-            "The settings that `serve` passes on to the transports of URLs.",
-            joined((kind for kind in own if kind.for_servers), "only_for_clients"),
-        ),
-    ]
+    parts: list[str] = []
     for kind in kinds:
         base = base_of(kind)
         above = "TypedDict" if base is TransportSettings else keywords_of(base)
         about = f"The keyword arguments of `{kind.__name__}`."
         parts.append(typed_dict(keywords_of(kind), above, about, own_types(kind)))
+    parts += [
+        typed_dict_of(
+            "ConnectKeywords",
+            "The settings that `connect` passes on to the transport of a URL.",
+            joined((kind for kind in own if kind.for_clients), "only_for_servers"),
+        ),
+        typed_dict_of(
+            "ServeKeywords",
+            "The settings that `serve` passes on to the transports of URLs.",
+            joined((kind for kind in own if kind.for_servers), "only_for_clients"),
+        ),
+    ]
     imports = "\n".join(sorted({*imports_of(kinds), "from typing import TypedDict"}))
     text = "\n\n".join((HEAD, imports, *parts))
     for command in (["check", "--fix", "--quiet", "--select", "I"], ["format", "--quiet"]):

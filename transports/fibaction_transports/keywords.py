@@ -18,102 +18,6 @@ from fibaction.wire.settings import Limits
 from fibaction.wire.tls_files import TlsFiles
 
 
-class ConnectKeywords(TypedDict, total=False):
-    """The settings that `connect` passes on to the transport of a URL."""
-
-    token: str
-    heartbeat: float
-    window: int
-    limits: Limits
-    reconnect: bool
-    reconnect_timeout: float
-    namespace: str
-    domain_id: int | None
-    arguments: Sequence[str] | None
-    feedback_depth: int
-    discovery_timeout: float
-    lease: float
-    services_qos: str
-    feedback_qos: str
-    status_qos: str
-    introspection: str
-    node: Any
-    via: Literal["", "rclpy", "dds", "zenoh"]
-    tls: TlsFiles | SSLContext | None
-    accepted_after: float
-    answer_timeout: float
-    schemas: bool
-    cancel_on_disconnect: bool
-    search: Sequence[str]
-    discovery: str
-    peers: Sequence[str]
-    network: Sequence[str]
-    ip_versions: Sequence[int]
-    fragment_size: int
-    locators: Sequence[str]
-    mode: Literal["", "peer", "client"]
-    config: str
-    type_hashes: bool
-    worker: str
-    user: str
-    password: str
-    login_token: str
-    creds: str
-
-
-class ServeKeywords(TypedDict, total=False):
-    """The settings that `serve` passes on to the transports of URLs."""
-
-    allow: Sequence[str]
-    unasked: Sequence[str]
-    read_only: bool
-    patience: float
-    token: str
-    tokens: Mapping[str, str] | None
-    limits: Limits
-    tls: TlsFiles | SSLContext | None
-    insecure: bool
-    hosts: Sequence[str]
-    origins: Sequence[str]
-    heartbeat: float
-    namespace: str
-    domain_id: int | None
-    arguments: Sequence[str] | None
-    feedback_depth: int
-    lease: float
-    services_qos: str
-    feedback_qos: str
-    status_qos: str
-    introspection: str
-    node: Any
-    via: Literal["", "rclpy", "dds", "zenoh"]
-    search: Sequence[str]
-    discovery: str
-    peers: Sequence[str]
-    network: Sequence[str]
-    ip_versions: Sequence[int]
-    fragment_size: int
-    authorize: Authorize | None
-    orphans: Literal["keep", "cancel"]
-    grace: float
-    locators: Sequence[str]
-    mode: Literal["", "peer", "client"]
-    config: str
-    type_hashes: bool
-    worker: str
-    replicas: int
-    history_days: float | None
-    history_goals: int | None
-    user: str
-    password: str
-    login_token: str
-    creds: str
-    console: bool
-    metrics: Metrics | None
-    recording: str | PathLike[str] | None
-    sources: Sources | None
-
-
 class AgentPolicyKeywords(TypedDict, total=False):
     """The keyword arguments of `AgentPolicy`."""
 
@@ -260,6 +164,60 @@ class WebSocketKeywords(HostKeywords, total=False):
 class HttpKeywords(WebSocketKeywords, total=False):
     """The keyword arguments of `HttpSettings`."""
 
+    console: bool
+    metrics: Metrics | None
+    recording: str | PathLike[str] | None
+    sources: Sources | None
+
+
+class ConnectKeywords(
+    ClientKeywords, Ros2Keywords, RosbridgeKeywords, DdsKeywords, ZenohKeywords, total=False
+):
+    """The settings that `connect` passes on to the transport of a URL."""
+
+    worker: str
+    user: str
+    password: str
+    login_token: str
+    creds: str
+
+
+class ServeKeywords(AgentHttpKeywords, total=False):
+    """The settings that `serve` passes on to the transports of URLs."""
+
+    heartbeat: float
+    namespace: str
+    domain_id: int | None
+    arguments: Sequence[str] | None
+    feedback_depth: int
+    lease: float
+    services_qos: str
+    feedback_qos: str
+    status_qos: str
+    introspection: str
+    node: Any
+    via: Literal["", "rclpy", "dds", "zenoh"]
+    search: Sequence[str]
+    discovery: str
+    peers: Sequence[str]
+    network: Sequence[str]
+    ip_versions: Sequence[int]
+    fragment_size: int
+    authorize: Authorize | None
+    orphans: Literal["keep", "cancel"]
+    grace: float
+    locators: Sequence[str]
+    mode: Literal["", "peer", "client"]
+    config: str
+    type_hashes: bool
+    worker: str
+    replicas: int
+    history_days: float | None
+    history_goals: int | None
+    user: str
+    password: str
+    login_token: str
+    creds: str
     console: bool
     metrics: Metrics | None
     recording: str | PathLike[str] | None
