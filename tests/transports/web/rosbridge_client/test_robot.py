@@ -609,7 +609,7 @@ async def test_an_answer_to_a_cancel_that_is_not_one_is_an_error(values: Any) ->
 async def test_an_action_is_waited_for_until_rosapi_lists_it(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(endpoint_module, "PAUSE", 0.01)
+    monkeypatch.setattr(endpoint_module, "LOOK_PAUSE", 0.01)
     said: list[Any] = ["no rosapi", "no rosapi", [], None, ["/fibonacci"]]
 
     class Starting(SilentServer):
