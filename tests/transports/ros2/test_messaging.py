@@ -30,10 +30,11 @@ from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.source import types_source
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, Service, open_node
-from fibaction_transports.ros2.messaging import newest, services, subscription
+from fibaction_transports.ros2.messaging import newest, services, subscription, transforms
 from fibaction_transports.ros2.messaging import node as messaging_node
 from fibaction_transports.ros2.messaging.node import topic_values
 from fibaction_transports.ros2.node.own_parameters import written
+from fibaction_transports.ros2.node.ros_node import RosClock
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_dds.services import DdsCaller
@@ -96,8 +97,8 @@ async def test_messages_arrive_in_order_with_the_fields_of_ros(scheme: str) -> N
         assert await odometry.next() == odometry.latest
 
 
-async def test_nothing_is_kept_of_publishers_that_have_gone() -> None:
-    async with two_nodes("dds://") as (robot, planner):
+async def test_nothing_is_kept_of_publishers_that_have_gone(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
         heard: Any = planner.subscribe("chatter", STRING)
         with robot.publisher("chatter", STRING) as publisher:
             await publisher.wait_for_reader(PATIENCE)
@@ -958,6 +959,67 @@ async def test_a_simulation_that_begins_anew_has_new_transforms() -> None:
             below.clock.era += 1  # the time has jumped back
             await moving.publish(told("odom", "base", 2.0, 1))
             assert (await planner.transform("base", "map", at=1)).x == 3.0
+
+
+async def test_a_transform_is_waited_for_by_the_clock_of_a_simulation(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        clock = robot.publisher("/clock", "rosgraph_msgs/msg/Clock")
+        moving = robot.publisher("/tf", TF)
+
+        async def tell_time(seconds: int) -> None:
+            await clock.publish({"clock": {"sec": seconds}})
+            await until(lambda: planner._ros.clock.now() == seconds * 10**9)
+
+        await planner.parameters().set({"use_sim_time": True})
+        with pytest.raises(TimeoutError):  # no time has come yet: that of the machine counts
+            await planner.transform("base", "map", timeout=0.05)
+        await until(lambda: clock.reader_count() and moving.reader_count())
+        await tell_time(100)
+        async with anyio.create_task_group() as tasks:
+
+            async def wait() -> None:
+                assert (await planner.transform("base", "map", timeout=0.05)).x == 2.0
+
+            tasks.start_soon(wait)
+            await anyio.sleep(0.2)  # the simulation stands still
+            await moving.publish(told("map", "base", 2.0, 100))
+        async with anyio.create_task_group() as tasks:
+
+            async def give_up() -> None:
+                with pytest.raises(TimeoutError, match="no transform of arm to map in 500 s"):
+                    await planner.transform("arm", "map", timeout=500)
+
+            tasks.start_soon(give_up)
+            await anyio.wait_all_tasks_blocked()
+            await tell_time(700)
+
+
+class Simulated(RosClock):
+    """A clock that a test sets."""
+
+    is_the_machines = False
+
+    def __init__(self) -> None:
+        self.era = self.time = 0
+
+    def now(self) -> int:
+        return self.time * 10**9
+
+
+async def test_a_timeout_begins_anew_with_its_simulation() -> None:
+    clock = Simulated()
+    patience = transforms.Patience(clock, 10)
+    assert patience.left() > transforms.CLOCK_PAUSE
+    clock.time = 500
+    assert patience.left() == transforms.CLOCK_PAUSE  # the first time is no jump
+    clock.time = 505
+    assert patience.left() > 0
+    clock.time, clock.era = 3, 1
+    assert patience.left() > 0
+    clock.time = 12
+    assert patience.left() > 0
+    clock.time = 13
+    assert patience.left() == 0
 
 
 async def test_the_loss_of_a_node_ends_what_waits_for_it() -> None:

@@ -235,7 +235,8 @@ class Node(RosTransport):
 
         `at` is a time in seconds, as in the stamps of messages; without it, the newest time counts
         for which all frames between them are known. The call waits until the pose is known. The
-        topics are read from the first call on.
+        topics are read from the first call on. As with tf2, the timeout is by the clock of the
+        node, which may be that of a simulation; all other timeouts are by that of the machine.
 
         Raises:
             TimeoutError: It was not known in the seconds of the timeout; the text says why.

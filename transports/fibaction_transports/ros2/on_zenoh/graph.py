@@ -61,11 +61,11 @@ class ZenohGraph(RosGraph):
         if entity.kind == PUBLISHER:
             self._publishers[entity.wire_gid] = entity.gid
 
-    def remove(self, token: str) -> None:
-        """Remove a token, if it is known."""
+    def remove(self, token: str) -> Entity | None:
+        """Remove a token, and return what it told of; None if it is not known."""
         entity = self._entities.pop(token, None)
         if entity is None:
-            return
+            return None
         self._note_change()
         self._is_full = False
         place = entity.kind, entity.topic
@@ -73,6 +73,7 @@ class ZenohGraph(RosGraph):
         if not self._ends[place]:
             del self._ends[place]
         self._publishers.pop(entity.wire_gid, None)
+        return entity
 
     def _note_change(self) -> None:
         self._changes += 1

@@ -109,8 +109,13 @@ class ZenohNode(OwnNode):
         liveliness = session.session.liveliness()
 
         def changed(sample: zenoh.Sample) -> None:
-            change = self.graph.add if sample.kind == zenoh.SampleKind.PUT else self.graph.remove
-            change(str(sample.key_expr))
+            token = str(sample.key_expr)
+            if sample.kind == zenoh.SampleKind.PUT:
+                self.graph.add(token)
+            elif (gone := self.graph.remove(token)) is not None and gone.kind == PUBLISHER:
+                for part in self._parts:
+                    if isinstance(part, ZenohSubscription):
+                        part.forget(gone.wire_gid)
 
         session.keep(
             liveliness.declare_subscriber(everything, session.sample_handler(changed), history=True)

@@ -138,6 +138,10 @@ class ZenohSubscription(TopicSubscription):
             self._numbers.note(read.gid, read.number)
         self._take(sample.payload.to_bytes(), self._graph.publisher(read.gid))
 
+    def forget(self, publisher: bytes) -> None:
+        """Forget a publisher that has gone, by its ID in messages."""
+        self._numbers.forget(publisher)
+
     def tell_lost(self, take: Callable[[int], None]) -> None:
         self._numbers.tell(take)
 
