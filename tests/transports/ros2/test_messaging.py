@@ -34,7 +34,7 @@ from fibaction_transports.ros2.messaging import newest, services, subscription, 
 from fibaction_transports.ros2.messaging import node as messaging_node
 from fibaction_transports.ros2.messaging.node import topic_values
 from fibaction_transports.ros2.node.own_parameters import written
-from fibaction_transports.ros2.node.ros_node import RosClock
+from fibaction_transports.ros2.node.ros_node import RosClock, TypeVersion
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_dds.services import DdsCaller
@@ -442,8 +442,14 @@ async def test_what_keeps_messages_away_is_told(
             with pytest.raises(TimeoutError, match="connected publishers: 1"):
                 await wanted.next(0.5)
         other = planner.subscribe("map", "std_msgs/msg/Int32")
-        with pytest.raises(TimeoutError, match="another version of std_msgs/msg/Int32"):
+        with pytest.raises(TimeoutError, match="its publishers have the type std_msgs/msg/String"):
             await other.next(0.05)
+        numbers = robot.publisher("map", "std_msgs/msg/Int64")
+        await until(lambda: len(robot._ros.subscriptions(weak.topic)) == 2)
+        text = "its subscriptions have the type std_msgs/msg/Int32 and std_msgs/msg/String"
+        with pytest.raises(TimeoutError, match=text):
+            await numbers.wait_for_reader(0.05)
+        numbers.close()
         if scheme == "dds://":  # over Zenoh they hear each other
             only = robot.publisher("weak", STRING, qos="best_effort")
             planner.subscribe("weak", STRING)
@@ -455,6 +461,10 @@ async def test_what_keeps_messages_away_is_told(
         silent = planner.subscribe("map", STRING)
         await weak.wait_for_reader(PATIENCE)
         with pytest.raises(TimeoutError, match="connected publishers: 1"):
+            await silent.next(0.05)
+        later = TypeVersion(STRING, "RIHS01_00")
+        monkeypatch.setattr(planner._ros.types, "version", lambda message: later)
+        with pytest.raises(TimeoutError, match="another version of std_msgs/msg/String"):
             await silent.next(0.05)
 
 
@@ -494,6 +504,11 @@ async def test_a_call_that_has_no_answer_says_why(
         with robot.serve_service("slow", BOOL, never):
             with pytest.raises(TimeoutError, match="the server has not answered in 2 s"):
                 await planner.call("slow", BOOL, timeout=2)
+            with pytest.raises(TimeoutError, match="nothing was asked in 0 s"):
+                await planner.call("slow", BOOL, timeout=0)
+            text = "there is no server in 0.1 s: it is a service of std_srvs/srv/SetBool"
+            with pytest.raises(TimeoutError, match=text):
+                await planner.call("slow", "std_srvs/srv/Trigger", timeout=0.1)
         with robot.serve_service("wrong", BOOL, wrong):
             assert not (await planner.call("wrong", BOOL, timeout=PATIENCE)).success
         assert "a request failed: not a std_srvs/SetBool_Response" in caplog.text

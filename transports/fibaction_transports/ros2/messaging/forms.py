@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Final
 
 import msgspec
@@ -13,6 +14,7 @@ from fibaction.words.errors import ProtocolError
 from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
 from fibaction_transports.ros2.convert.schemas import UserSchema
+from fibaction_transports.ros2.node.parts import EndInfo
 
 _ANYTHING: Final[Any] = Codec(Any)
 
@@ -55,6 +57,14 @@ class MessageForm:
             raise TypeError(f"{given!r} does not have the fields of ROS: {'; '.join(problems)}")
         assert isinstance(part, MessagePart)
         self._ros = RosCodec(part)
+
+    def other_types(self, ends: Iterable[EndInfo]) -> str:
+        """Return the types of the ends that have another one, as a text; empty if there is none, or
+        if one end has this type.
+        """
+        theirs = {end.type_name for end in ends} - {""}
+        is_shared = self._kind.text in {one.replace("/msg/", "/") for one in theirs}
+        return "" if is_shared else " and ".join(sorted(theirs))
 
     def to_ros(self, value: Any) -> Any:
         """Return a value of the user as a message. Fields that a dict leaves out have ROS's

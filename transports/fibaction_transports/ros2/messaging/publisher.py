@@ -90,8 +90,13 @@ class Publisher(Closing, Generic[T]):
         raise TimeoutError(f"{problem} {self.topic} in {timeout:g} s{self._mismatch()}")
 
     def _mismatch(self) -> str:
-        """Return the first difference of QoS that keeps a reader away, as both sides have it."""
-        for end in self._ros.subscriptions(self.topic) if self._ros.matches_by_qos else ():
+        """Return what keeps readers away: another type, or the first difference of QoS, as both
+        sides have it.
+        """
+        ends = self._ros.subscriptions(self.topic)
+        if others := self._form.other_types(ends):
+            return f": its subscriptions have the type {others}"
+        for end in ends if self._ros.matches_by_qos else ():
             if told := qos.difference(self._qos, end.qos):
                 offers, wants = told
                 return f": this publisher offers {offers}, and {end.node or 'a node'} wants {wants}"

@@ -53,6 +53,7 @@ class CalledService:
     ) -> None:
         self._ros = ros
         self._service = service
+        self._type_name = type_ if isinstance(type_, str) else type_.type_name
         self._request, self._response = forms_of(type_, called)
         self._news = Notifier()
         self._turns = anyio.Semaphore(AT_ONCE, fast_acquire=True)
@@ -110,7 +111,9 @@ class CalledService:
             self._users -= 1
 
     async def _call(self, message: Any, timeout: float | None) -> Any:
-        missing = f"its last {AT_ONCE} requests have no answers"
+        missing = "nothing was asked"
+        if not self._turns.value:
+            missing = f"its last {AT_ONCE} requests have no answers"
         with anyio.move_on_after(timeout):
             async with self._turns:
                 missing = "there is no server"
@@ -122,7 +125,12 @@ class CalledService:
                 number = self._part.send(message)
                 missing = "the server has not answered"
                 return await self._answer(number, asked)
-        raise TimeoutError(f"{self._service}: {missing} in {timeout:g} s")
+        raise TimeoutError(f"{self._service}: {missing} in {timeout:g} s{self._other_type()}")
+
+    def _other_type(self) -> str:
+        """Return the type of the server that is there, if it is not the one that is called."""
+        found = dict(self._ros.services()).get(self._service, self._type_name)
+        return "" if found == self._type_name else f": it is a service of {found}"
 
     def _servers(self) -> set[bytes]:
         return {end.gid for end in self._ros.request_readers(self._service)}

@@ -167,6 +167,8 @@ class Subscription(Closing, Generic[T]):
         ends = self._ros.publishers(self.topic)
         if not ends:
             return "no node publishes it"
+        if others := self._form.other_types(ends):
+            return f"its publishers have the type {others}"
         for end in ends if self._ros.matches_by_qos else ():
             if told := qos.difference(end.qos, self._qos):
                 offers, wants = told

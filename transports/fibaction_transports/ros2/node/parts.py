@@ -43,6 +43,8 @@ class EndInfo(NamedTuple):
     """That of the action whose feedback it publishes, if it is one of fibaction over DDS."""
     type_id: bytes = b""
     """The ID of that type in XTypes, over DDS, if its participant tells it."""
+    type_name: str = ""
+    """The name of the type of its messages in ROS, as `std_msgs/msg/String`."""
 
 
 class LifeSigns(NamedTuple):

@@ -54,6 +54,7 @@ which there is one in each 0.1 s, at once."""
 ENDPOINTS_PATIENCE = 4.0
 """Seconds for which the endpoints of a new participant are waited for."""
 
+_RELIABILITIES = {kind: kind.name.lower() for kind in Reliability}
 _KINDS = {
     "automatic": Liveliness.AUTOMATIC,
     "manual_by_participant": Liveliness.BY_PARTICIPANT,
@@ -80,8 +81,8 @@ def dds_qos(qos: EndQos) -> Qos:
 
 def _end_qos(qos: Qos) -> EndQos:
     return EndQos(
-        reliability="reliable" if qos.is_reliable else "best_effort",
-        durability="transient_local" if qos.is_transient_local else "volatile",
+        reliability=_RELIABILITIES[qos.reliability],
+        durability="transient_local" if qos.durability else "volatile",
         history="keep_last" if qos.depth else "keep_all",
         depth=qos.depth or 0,
         deadline=qos.deadline,
@@ -249,7 +250,8 @@ class DdsGraph(RosGraph):
         data, type_id = b"", b""
         if isinstance(end, EndpointData):
             data, type_id = end.user_data, end.type_id
-        return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *read_hashes(data), type_id)
+        hashes, type_name = read_hashes(data), ros_type(end.type_name)
+        return EndInfo(bytes(end.guid), node, _end_qos(end.qos), *hashes, type_id, type_name)
 
 
 _NO_NODE = NodeName("", "/")

@@ -167,6 +167,7 @@ def end_info(end: Any) -> EndInfo:
             lease=_seconds(profile.liveliness_lease_duration),
             lifespan=_seconds(profile.lifespan),
         ),
+        type_name=end.topic_type,
     )
 
 

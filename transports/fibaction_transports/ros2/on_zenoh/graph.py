@@ -141,6 +141,12 @@ class ZenohGraph(RosGraph):
 
     def _infos(self, kind: str, topic: str) -> list[EndInfo]:
         return [
-            EndInfo(one.gid, one.node, one.qos, one.type_hash.removeprefix(self._unknown))
+            EndInfo(
+                one.gid,
+                one.node,
+                one.qos,
+                one.type_hash.removeprefix(self._unknown),
+                type_name=one.type_name,
+            )
             for one in self.ends(kind, topic)
         ]
