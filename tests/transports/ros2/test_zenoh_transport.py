@@ -33,6 +33,7 @@ from fibaction.border.urls import transport_for
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import ZenohTransport
 from fibaction_transports.ros2.client import action_client
+from fibaction_transports.ros2.client.presence import Presence
 from fibaction_transports.ros2.on_zenoh import node, session, zenoh_adapter
 from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS, FILE, OVERRIDE
 from fibaction_transports.ros2.on_zenoh.node import NO_ROUTER, ZenohNode, open_node
@@ -297,6 +298,33 @@ async def test_a_server_that_has_gone_ends_its_goals_as_soon_as_its_tokens_go(
                     await goal.result()
         finally:
             await serving.__aexit__(None, None, None)
+
+
+async def test_a_status_list_is_not_given_up_while_a_lost_router_may_explain_what_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looks: list[bool] = []
+    space = f"namespace=/t{uuid.uuid4().hex}"
+
+    def have_gone(presence: Presence, servers: frozenset[bytes]) -> bool:
+        """See the tokens of one of two servers go first, and then that the router is lost."""
+        if servers:
+            looks.append(presence._ros.is_cut)
+        return bool(servers) and len(looks) == 1
+
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(ActionServer(FIBONACCI, fibonacci), f"zenoh://?{space}"),
+            connect(f"zenoh://?{space}", FIBONACCI) as client,
+        ):
+            with await client.endpoint.status() as statuses:
+                await client.call(Goal(1))
+                assert await statuses.receive() is not None
+                monkeypatch.setattr(Presence, "have_gone", have_gone)
+                while len(looks) < 3:  # noqa: ASYNC110  # nothing tells of a look
+                    await anyio.sleep(0.01)
+                await client.call(Goal(1))
+                assert await statuses.receive() is not None
 
 
 @asynccontextmanager

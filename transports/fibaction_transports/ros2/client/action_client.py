@@ -325,10 +325,12 @@ class RosActionClient:
         return ConnectionLost(f"the server of {self._action!r} has gone away")
 
     async def _fail_gone(self) -> None:
-        """End the goals of servers that have gone, although others have taken their place."""
-        self._forget_gone()
-        if self._left():
+        """End the goals of servers that have gone, although others have taken their place, and the
+        status lists. After the last words, it is known whether the network was lost instead.
+        """
+        if self._left() or self.presence.have_gone(self._lists.servers):
             await self._ros.last_words()
+            self._forget_gone()
             self._followed.fail(self._gone(), self._left())
 
     def _left(self) -> list[RosGoalStream]:
