@@ -98,7 +98,6 @@ async def test_many_suspects_share_the_time_for_which_others_wait() -> None:
         await new.result()
         begins = sorted(painter.began[one] for one in many)
         assert all(later > one for one, later in pairwise(begins)), "one after another"
-        assert begins[1] - begins[0] < TRIAL
         assert TRIAL < painter.began[99] - before <= ALL_TRIALS
         await server.stop()
 
