@@ -23,7 +23,7 @@ from concepts_parts import errors_part, states_part
 from javascript_parts import reference_part
 from life_picture import life_diagram
 from page_parts import with_parts
-from protocol_parts import descriptions_part, limits_part, messages_part
+from protocol_parts import descriptions_part, limits_part, messages_part, schedules_part
 from secure_parts import limits_part as all_limits_part
 from secure_parts import memory_part
 from settings_parts import SETTINGS_PARTS
@@ -42,6 +42,7 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "protocol.md": {
         "messages": messages_part,
         "descriptions": descriptions_part,
+        "schedules": schedules_part,
         "limits": limits_part,
     },
     "howto/with_curl.md": {"reference of fibaction.js": reference_part},

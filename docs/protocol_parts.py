@@ -16,7 +16,7 @@ from page_parts import table
 from fibaction.types.action import ActionInfo
 from fibaction.wire import messages
 from fibaction.wire.settings import Limits
-from fibaction.words.intake import IntakeMode
+from fibaction.words.intake import IntakeMode, ScheduleInfo
 
 GOLDEN = Path(__file__).resolve().parent.parent / "tests" / "support" / "golden.py"
 """Bytes of one message of each type: with these the tests pin the format."""
@@ -168,6 +168,8 @@ def _wire(described: types.Type) -> str:
             return f"({'; '.join(map(_wire, described.item_types))})"
         case types.StructType(cls=cls) if cls is ActionInfo:
             return "[action descriptions](#descriptions-of-actions)"
+        case types.StructType(cls=cls) if cls is ScheduleInfo:
+            return "[schedule](#schedules)"
         case types.DictType():
             return "map"
     raise TypeError(f"a field of type {described} is new in a message: name it here")
@@ -199,6 +201,11 @@ def _shown(value: Any) -> str:
 def descriptions_part() -> str:
     """Return the table of the keys of an action's description."""
     return _fields(ActionInfo, "Key")
+
+
+def schedules_part() -> str:
+    """Return the table of the keys of a schedule."""
+    return _fields(ScheduleInfo, "Key")
 
 
 def limits_part() -> str:

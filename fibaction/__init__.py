@@ -12,6 +12,8 @@ of the server.
 
 from typing import TYPE_CHECKING
 
+from fibaction._runtime.release import RELEASE
+
 if TYPE_CHECKING:
     from fibaction._api import ClientConnection, Connecting, Serving, call, connect, serve
     from fibaction.border.abc import Endpoint, Transport
@@ -119,7 +121,7 @@ else:
         return sorted({*globals(), *__all__})
 
 
-__version__ = "0.1.0"
+__version__ = RELEASE
 
 __all__ = [
     "Action",

@@ -112,6 +112,11 @@ class ClientConnection(Connection):
         """Return the names of the other nodes: see `Connection.nodes`."""
         return await self._connection.nodes()
 
+    @property
+    def release(self) -> str:
+        """The version of the server: see `Connection.release`."""
+        return self._connection.release
+
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet: see `Connection.workers`."""
         return await self._connection.workers()

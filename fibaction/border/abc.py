@@ -108,6 +108,13 @@ class Connection(ABC):
         """
         return set()
 
+    @property
+    def release(self) -> str:
+        """The version of fibaction at the server; empty if it is not known, as of a server of ROS,
+        or of a fleet, whose `workers` tell theirs.
+        """
+        return ""
+
     async def workers(self) -> list[WorkerInfo]:
         """Return the workers of the fleet; empty if this transport has no fleet.
 

@@ -29,7 +29,7 @@ from fibaction.words.goals import (
     Outcome,
     Sender,
 )
-from fibaction.words.intake import OPEN_INTAKE, Intake, IntakeChange
+from fibaction.words.intake import FIXED_INTAKE, NO_LEVERS, Intake, IntakeChange
 from fibaction.words.meta import Meta
 
 CANCELS_AT_ONCE = 1000
@@ -222,12 +222,13 @@ class Endpoint(ABC):
         await read_pages(self.past_goals, wanted, take)
 
     async def intake(self) -> Intake:
-        """Return how the server takes new goals; open if its transport does not tell.
+        """Return how the server takes new goals; open and without levers if its transport does not
+        tell.
 
         Raises:
             TransportError, ProtocolError: As for `feedback`.
         """
-        return OPEN_INTAKE
+        return FIXED_INTAKE
 
     async def change_intake(self, change: IntakeChange) -> Intake:
         """Pause the action, let it take goals again, or drain its server, and return how it takes
@@ -236,10 +237,7 @@ class Endpoint(ABC):
         Raises:
             TransportError, ProtocolError: As for `feedback`; the transport does not carry it.
         """
-        raise TransportError(
-            f"the action {self.info.name!r} cannot be paused or drained from here: its server, or"
-            " the way to it, has no levers"
-        )
+        raise TransportError(f"the action {self.info.name!r} stays as it is: {NO_LEVERS}")
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         """Run a goal again that its server has given up, as a new goal from its last checkpoint.

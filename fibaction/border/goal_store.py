@@ -165,6 +165,13 @@ class StoredGoal(msgspec.Struct, array_like=True, gc=False):
         )
 
 
+def checkpoint_to_tell(given_up: StoredGoal | None) -> bytes | None:
+    """Return the checkpoint of a goal that was given up, as `GoalStream.checkpoint`; None if there
+    is no such goal.
+    """
+    return None if given_up is None else given_up.checkpoint or b""
+
+
 Then: TypeAlias = Callable[[StoreError | None], None]
 """The function that is called on the event loop when a write is durable, or has failed."""
 
@@ -255,6 +262,15 @@ class PastSource:
 
     async def past_goal(self, goal_id: GoalID) -> StoredGoal | None:
         """Return one of them with its request and its result; None if it is not there.
+
+        Raises:
+            StoreError: It cannot be read.
+        """
+        return None
+
+    async def given_up(self, goal_id: GoalID) -> StoredGoal | None:
+        """Return a goal that was given up and can be run again, with its request and its last
+        checkpoint; None if there is none of that ID.
 
         Raises:
             StoreError: It cannot be read.

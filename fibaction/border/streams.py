@@ -90,6 +90,10 @@ class GoalStream(Closing):
     reads: bool
     """True while feedback and status changes are delivered. After `close()`, or if the goal was
     sent with `feedback=False`, only the outcome is."""
+    checkpoint: bytes | None = None
+    """The last checkpoint of a goal that its server has given up and can run again: see
+    `Endpoint.rerun`. Empty if it has none; None for any other goal, for the client that sent it,
+    and if the transport does not carry it."""
     news: Notifier
     """The notifier of new updates, also notified when the goal has ended."""
 

@@ -124,6 +124,10 @@ class KeptConnection(Connection):
     async def nodes(self) -> set[str]:
         return await self._block.value.nodes()
 
+    @property
+    def release(self) -> str:
+        return self._block.value.release
+
     async def workers(self) -> list[WorkerInfo]:
         return await self._block.value.workers()
 

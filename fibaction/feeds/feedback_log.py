@@ -226,6 +226,7 @@ class FeedbackCursor(GoalStream):
         "_stalled",
         "_statuses_told",
         "_wanted",
+        "checkpoint",
         "cursor",
         "goal_id",
         "hold_time",
@@ -258,6 +259,7 @@ class FeedbackCursor(GoalStream):
         self._dropped = 0
         self._statuses_told = len(log.statuses)
         self._error: ActionError | None = None
+        self.checkpoint: bytes | None = None
         self.past_goal: bytes | None = None
         """The payload of the goal, where a history has it and the log does not."""
 

@@ -1,4 +1,4 @@
-"""`intakes_of`: the actions of a list that take no goals as usual."""
+"""`intakes_of`: how the actions of a list take goals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import anyio
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.words.action_error import ActionError
-from fibaction.words.intake import Intake, IntakeMode
+from fibaction.words.intake import Intake
 
 ASKED_AT_ONCE = 100
 """Actions that are asked at the same time."""
@@ -17,7 +17,7 @@ INTAKES_TIMEOUT = 2.0
 
 
 async def intakes_of(endpoints: Iterable[Endpoint]) -> dict[str, Intake]:
-    """Return how actions take goals that are paused, or whose server drains, by their names.
+    """Return how actions take goals, by their names.
 
     One that does not answer in time, or not to this client, is left out.
     """
@@ -27,11 +27,9 @@ async def intakes_of(endpoints: Iterable[Endpoint]) -> dict[str, Intake]:
     async def ask(endpoint: Endpoint) -> None:
         try:
             async with limit:
-                intake = await endpoint.intake()
+                found[endpoint.info.name] = await endpoint.intake()
         except ActionError:
             return
-        if intake.mode is not IntakeMode.OPEN:
-            found[endpoint.info.name] = intake
 
     with anyio.move_on_after(INTAKES_TIMEOUT):
         async with anyio.create_task_group() as tasks:

@@ -24,6 +24,8 @@ class ListedServer(msgspec.Struct, frozen=True, omit_defaults=True):
     """The time in which it cannot be reached; None if it can be."""
     workers: Sequence[WorkerInfo] = ()
     """The workers of a fleet."""
+    version: str = ""
+    """Its version of fibaction; empty if it does not tell it."""
 
 
 class Sources(ABC):

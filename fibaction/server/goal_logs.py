@@ -210,6 +210,11 @@ class GoalLogs:
         goal = self._registry.find(goal_id, now=self.now())
         return b"" if goal is None else goal.sender.owner
 
+    def is_given_up(self, goal_id: GoalID) -> bool:
+        """Return whether a goal that is remembered was given up."""
+        goal = self._registry.find(goal_id, now=self.now())
+        return goal is not None and goal.is_given_up and goal.outcome is not None
+
     def find(self, goal_id: GoalID) -> GoalRecord:
         """Return a goal that is active or remembered.
 

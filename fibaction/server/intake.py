@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from fibaction.server.execution.runs import Runs
     from fibaction.server.registry.registry import GoalRegistry
     from fibaction.server.scheduling.dispatcher import Dispatcher
+    from fibaction.words.intake import ScheduleInfo
 
 
 LOOK_AGAIN = 0.1
@@ -127,7 +128,10 @@ class Levers:
         runs: Runs[Any, Any, Any],
         admission: Admission[Any, Any, Any],
         capacity: Capacity,
+        schedule: ScheduleInfo,
     ) -> None:
+        """Tell the `schedule` with each intake."""
+        self._schedule = schedule
         self._action = action
         self._rule = registry.intake
         self._keeper = keeper
@@ -228,7 +232,8 @@ class Levers:
             await self._runs.follow_intake()
 
     def _told(self) -> Intake:
-        return replace(self._intake, mode=IntakeMode.DRAIN) if self._is_draining else self._intake
+        mode = IntakeMode.DRAIN if self._is_draining else self._intake.mode
+        return replace(self._intake, mode=mode, schedule=self._schedule)
 
     def _failure(self, error: StoreError) -> ServerFailed:
         logger.error("the intake of action server %r: %s", self._action, error)

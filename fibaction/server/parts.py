@@ -47,6 +47,7 @@ from fibaction.server.log_keeper import LogKeeper
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.registry.registry import GoalRegistry
 from fibaction.server.scheduling.dispatcher import Dispatcher
+from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.settings import ActionServerSettings
 from fibaction.server.watchers import Watchers
 from fibaction.types.action import Action, FeedbackT, GoalT, ResultT
@@ -117,7 +118,15 @@ class Parts(Generic[GoalT, FeedbackT, ResultT]):
             action, registry, runs, logs, dispatcher, watchers, self.admission, settings
         )
         self.capacity = Capacity(registry, keeper, dispatcher, runs)
-        self.levers = Levers(action.name, registry, keeper, runs, self.admission, self.capacity)
+        self.levers = Levers(
+            action.name,
+            registry,
+            keeper,
+            runs,
+            self.admission,
+            self.capacity,
+            (settings.schedule or Schedule()).told(settings.max_goals),
+        )
 
     async def open(self, stack: AsyncExitStack, *, held: bool) -> None:
         """Open the store, and start the tasks. The stack ends both. If `held`, no executor runs

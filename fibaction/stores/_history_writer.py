@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from copy import copy
-from typing import TypeVar
-
-from anyio import Lock
 
 from fibaction._runtime.log import clean_logger
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction.stores._history_table import HistoryTable
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._writer import Batch, SqliteJournal, Writer
-from fibaction.stores.journal_rows import EndRecord, ended
-from fibaction.words.errors import StoreError
+from fibaction.stores.journal_rows import EndRecord
 from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goal_query import MOST_PAST, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
-
-FoundT = TypeVar("FoundT")
 
 logger = clean_logger("fibaction.server")
 
@@ -31,7 +25,6 @@ class HistoryWriter(Writer):
         self._bounds = bounds
         self._table: HistoryTable
         self._is_full = False
-        self._turn = Lock()
         super().__init__(path, sync)
 
     async def part(self, action: str, page: PastPage) -> tuple[list[GoalInfo], Place | None]:
@@ -49,27 +42,6 @@ class HistoryWriter(Writer):
             StoreError: It cannot be read.
         """
         return await self._ask(lambda: self._table.find(action, goal_id))
-
-    async def _ask(self, look: Callable[[], FoundT]) -> FoundT:
-        """Return what a function finds. Its error concerns nobody else: later writes go on."""
-        answers: list[FoundT] = []
-        errors: list[StoreError] = []
-
-        def work() -> None:
-            try:
-                answers.append(look())
-            except StoreError as exc:
-                errors.append(exc)
-
-        async with self._turn:  # one at a time, so that a commit waits for one of them at most
-            if self._is_closing:
-                raise self._closed()
-            failed = await self._do(work)
-        if failed:
-            raise StoreError(failed)
-        for error in errors:
-            raise error
-        return answers.pop()  # the thread has the list until its next command
 
     # In the thread
 
@@ -107,13 +79,14 @@ class HistoryJournal(SqliteJournal):
         action: str,
         writer: HistoryWriter,
         claim: Callable[[StoredGoal], None],
-        goals: Iterable[StoredGoal],
+        goals: Sequence[StoredGoal],
     ) -> None:
         """Write to a file that has these goals."""
-        super().__init__(action, writer, self._claim_again)
+        super().__init__(action, writer, self._claim_again, goals)
         self._claim_goal = claim
         self._writer = writer
-        self._sent = {goal.goal_id: (goal.goal, goal.meta) for goal in goals}
+        active = (goal for goal in goals if goal.status.is_active)
+        self._sent = {goal.goal_id: (goal.goal, goal.meta) for goal in active}
         """The request and the meta of each active goal, which it does not have at its end."""
 
     def _claim_again(self, goal: StoredGoal) -> None:
@@ -128,7 +101,7 @@ class HistoryJournal(SqliteJournal):
         past = copy(goal)
         past.goal, past.meta = self._sent.pop(goal.goal_id, (goal.goal, goal.meta))
         past.checkpoint = None
-        self._write(ended(self._action, goal), then, past)
+        self._write_end(goal, then, past)
 
     async def past_goals(self, page: PastPage) -> list[GoalInfo]:
         found: list[GoalInfo] = []

@@ -348,8 +348,8 @@ def add_again(
     """Add a goal to a file, which has these goals, for one that was given up, and return it; None
     if it was not.
     """
-    old: StoredGoal | None = goals.of(action).ended.get(goal_id)
-    if old is None or not old.is_given_up:
+    old = goals.of(action).given_up(goal_id)
+    if old is None:
         return None
     new, ended = old.as_new(time.time_ns()), copy(old)
     ended.drop_request()

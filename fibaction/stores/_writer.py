@@ -25,16 +25,16 @@ next. The thread is a daemon: a program that ends without closing its store is n
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from copy import copy
 from functools import partial
 from queue import SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import anyio
-from anyio import CancelScope
+from anyio import CancelScope, Lock
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.event_loop import asyncio_task
@@ -66,6 +66,8 @@ GROWTH = 4
 LARGEST_ROW = 64 * 1024 * 1024
 """Bytes of a row above which its records are written in two."""
 
+FoundT = TypeVar("FoundT")
+
 Call: TypeAlias = Callable[..., object]
 """A function that has another one called on the event loop, with arguments."""
 Batch: TypeAlias = list[tuple[Record, Then, StoredGoal | None]]
@@ -94,6 +96,7 @@ class Writer:
         self._written: Batch = []
         self._queue: SimpleQueue[Batch | _WriterCommand] = SimpleQueue()
         self._is_closing = False
+        self._turn = Lock()
         self._file: JournalFile | None = None
         self._has_begun = False
         self._max_results: dict[str, int] = {}
@@ -154,6 +157,14 @@ class Writer:
             raise StoreError(error)
         return added.pop()  # the thread has the list until its next command
 
+    async def given_up(self, action: str, goal_id: GoalID) -> StoredGoal | None:
+        """Return a goal in the file that was given up; None if there is none of that ID.
+
+        Raises:
+            StoreError: The file cannot be read.
+        """
+        return await self._ask(lambda: self._goals().of(action).given_up(goal_id))
+
     async def finish(self, action: str) -> None:
         """Wait until everything that was written is told; the action is no longer open."""
         await self._do(partial(self._max_results.pop, action, None))
@@ -170,6 +181,27 @@ class Writer:
         self._queue.put(command)
         await command.is_done.wait()
         return command.error
+
+    async def _ask(self, look: Callable[[], FoundT]) -> FoundT:
+        """Return what a function finds. Its error concerns nobody else: later writes go on."""
+        answers: list[FoundT] = []
+        errors: list[StoreError] = []
+
+        def work() -> None:
+            try:
+                answers.append(look())
+            except StoreError as exc:
+                errors.append(exc)
+
+        async with self._turn:  # one at a time, so that a commit waits for one of them at most
+            if self._is_closing:
+                raise self._closed()
+            failed = await self._do(work)
+        if failed:
+            raise StoreError(failed)
+        for error in errors:
+            raise error
+        return answers.pop()  # the thread has the list until its next command
 
     # All that follows runs in the thread.
 
@@ -317,9 +349,19 @@ def _tell(batch: Batch, error: str) -> None:
 class SqliteJournal(GoalJournal):
     """The goals of one action in a `SqliteStore` that is open."""
 
-    def __init__(self, action: str, writer: Writer, claim: Callable[[StoredGoal], None]) -> None:
+    def __init__(
+        self,
+        action: str,
+        writer: Writer,
+        claim: Callable[[StoredGoal], None],
+        goals: Iterable[StoredGoal],
+    ) -> None:
+        """Write to a file that has these goals."""
         self._action = action
         self._claim = claim
+        self._given_up = {GoalID(goal.goal_id) for goal in goals if goal.is_given_up}
+        """The goals that may have been given up: all others need not be looked for in the file."""
+        self._find_given_up = partial(writer.given_up, action)
         self._add_again = partial(writer.rerun, action)
         self._write = writer.write
         self._change_intake = partial(writer.change_intake, action)
@@ -337,13 +379,26 @@ class SqliteJournal(GoalJournal):
         self._write(CheckpointRecord(self._action, goal.goal_id, goal.checkpoint), then)
 
     def end(self, goal: StoredGoal, then: Then) -> None:
-        self._write(ended(self._action, goal), then)
+        self._write_end(goal, then)
+
+    def _write_end(self, goal: StoredGoal, then: Then, past: StoredGoal | None = None) -> None:
+        if goal.is_given_up:
+            self._given_up.add(GoalID(goal.goal_id))
+        self._write(ended(self._action, goal), then, past)
 
     async def intake(self) -> bytes:
         return await self._change_intake(lambda kept: kept)
 
     async def change_intake(self, change: Callable[[bytes], bytes]) -> bytes:
         return await self._change_intake(change)
+
+    async def given_up(self, goal_id: GoalID) -> StoredGoal | None:
+        if goal_id not in self._given_up:
+            return None
+        goal = await self._find_given_up(goal_id)
+        if goal is None:  # it runs again, or is not kept any more
+            self._given_up.discard(goal_id)
+        return goal
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         new: StoredGoal | None = None

@@ -22,6 +22,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from fibaction.border.goal_store import StoredGoal
+from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 
 ROW = 256 * 1024
@@ -184,6 +185,11 @@ class ActionGoals:
         )
         newest = {*given_up, *others}
         self.ended = {goal.goal_id: goal for goal in kept if goal.goal_id in newest}
+
+    def given_up(self, goal_id: GoalID) -> StoredGoal | None:
+        """Return a goal that was given up, with all its fields; None if there is none."""
+        goal = self.ended.get(goal_id)
+        return goal if goal is not None and goal.is_given_up else None
 
     def in_order(self) -> list[StoredGoal]:
         """Return those that have ended by their ends, then the active ones by their stamps."""

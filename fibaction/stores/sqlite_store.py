@@ -138,12 +138,11 @@ class SqliteStore(GoalStore):
         if self._history is None:
             from fibaction.stores._writer import SqliteJournal
 
-            return SqliteJournal(action, writer, claim)
+            return SqliteJournal(action, writer, claim, goals)
         from fibaction.stores._history_writer import HistoryJournal, HistoryWriter
 
         assert isinstance(writer, HistoryWriter)
-        active = (goal for goal in goals if goal.status.is_active)
-        return HistoryJournal(action, writer, claim, active)
+        return HistoryJournal(action, writer, claim, goals)
 
     async def _end(self, action: str, writer: Writer) -> None:
         """Wait for the writes that are under way; the last action ends the thread."""

@@ -48,7 +48,7 @@ class Painted(msgspec.Struct):
 
 
 PAINT = Action("paint", goal=Paint, feedback=int, result=Painted)
-VARNISH = Action("varnish", goal=Paint, feedback=int, result=Painted)
+VARNISH = Action("varnish", goal=Paint, feedback=int, result=Painted, checkpoint=dict[str, int])
 """An action whose goals are remembered as well."""
 GOALS = 230
 """Goals of the action `paint`, more than a page of the history has."""

@@ -105,6 +105,7 @@ def test_the_p95_of_today_is_three_clicks_away(page: Page, archive: ArchiveProce
 def test_a_goal_that_was_given_up_runs_again_after_a_question(page: Page, tmp_path: Path) -> None:
     payload = VARNISH.goal.encode(Paint(7))
     old = StoredGoal(GoalID.random(), 1, UNKNOWN_SENDER, digest_of(payload), payload)
+    old.checkpoint = b"\x81\xa4done\x04"
     old.status, old.ended_at = GoalStatus.ABORTED, time.time_ns()
     old.reason = "given up after 3 attempts: the server was restarted"
     with closing(JournalFile(str(tmp_path / "goals.db"), "full")) as file:
@@ -112,12 +113,17 @@ def test_a_goal_that_was_given_up_runs_again_after_a_question(page: Page, tmp_pa
     with ArchiveProcess(tmp_path) as robot:
         page.goto(f"{robot.url}/#/varnish/{old.goal_id}")
         again = page.get_by_role("button", name="Run again from its checkpoint")
+        checkpoint = page.get_by_label("Checkpoint")
+        expect(checkpoint).to_contain_text(re.compile(r"done.*4"))
         again.click()
         is_accessible(page)
         page.get_by_role("dialog").get_by_role("button", name="Run again").click()
         expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
         expect(again).to_be_hidden()
         page.goto(f"{robot.url}/#/varnish/{old.goal_id}")
-        again.click()
-        page.get_by_role("dialog").get_by_role("button", name="Run again").click()
-        expect(page.get_by_role("alert")).to_contain_text("was not given up")
+        page.reload()
+        expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
+        expect(goal(page).locator(".reason")).to_contain_text("given up after 3 attempts")
+        expect(page.get_by_label("Result")).to_be_visible()
+        expect(again).to_be_hidden()
+        expect(checkpoint).to_be_hidden()

@@ -11,6 +11,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import FilePayload, Locator, Page, expect
 
+from fibaction import __version__
 from tests.browser.served import ConsoleProcess, RobotProcess
 from tests.browser.test_console import NewRobot, action, drive, goal, open_action, png, row, send
 
@@ -31,7 +32,7 @@ def console(north: RobotProcess, robot: RobotProcess) -> Generator[ConsoleProces
 
 def line(page: Page, name: str) -> Locator:
     """Return the row of a server."""
-    return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name))
+    return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name, exact=True))
 
 
 def is_accessible(page: Page) -> None:
@@ -50,8 +51,11 @@ def test_the_servers_are_listed_and_their_actions_are_in_namespaces(
     page.goto(console.address)
     action(page, "Servers").click()
     expect(page).to_have_title("servers · fibaction console")
-    for text in ("connected", "0 active goals", "13 actions"):
+    for text in ("connected", "0 active goals", "13 actions", __version__):
         expect(line(page, "north")).to_contain_text(text)
+    schedules = page.get_by_role("table", name="Schedules")
+    schedule = schedules.get_by_role("row").filter(has_text="south/fibonacci")
+    expect(schedule).to_have_text("south/fibonaccitakes goalsall goals run at once")
     action(page, "south/fibonacci").click()
     sent = send(page, order="3")
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")

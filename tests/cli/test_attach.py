@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import signal
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from fibaction import GoalID, connect, serve
+from fibaction.border.abc import ForwardingEndpoint, GoalStream
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.attach import attach
 from tests.cli.conftest import Run, Start, detached, interrupt
@@ -51,6 +53,35 @@ def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) ->
 
     assert (code, err) == (ExitCode.INTERRUPTED, f"The goal {goal_id} was left as it is.\n")
     assert f"{goal_id}  EXECUTING" in here("goals", "wait", url=tcp).out
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("checkpoint", "value", "text"),
+    [
+        (b"\x04", 4, "given it up, and can run it again from its checkpoint:\n    4\n\n"),
+        (b"", None, "given it up, and can run it again from its beginning.\n"),
+    ],
+)
+async def test_the_checkpoint_of_a_goal_that_was_given_up_is_shown(
+    checkpoint: bytes, value: int | None, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class GivenUp(ForwardingEndpoint):
+        async def feedback(self, *arguments: Any, **more: Any) -> GoalStream:
+            stream: Any = await super().feedback(*arguments, **more)
+            stream.checkpoint = checkpoint
+            return cast("GoalStream", stream)
+
+    url = "inproc://given-up"
+    server = counter("one", ["done"])
+    async with serve(GivenUp(server), url), connect(url, server.action) as client:
+        async with client.send_goal(1) as goal:
+            await goal.result()
+        await attach(url, str(goal.goal_id), None, full=True, as_json=False)
+        assert capsys.readouterr().out.endswith(text)
+        await attach(url, str(goal.goal_id), None, full=False, as_json=True)
+        last = json.loads(capsys.readouterr().out.splitlines()[-1])
+        assert last == {"event": "given_up", "checkpoint": value}
 
 
 @pytest.mark.asyncio

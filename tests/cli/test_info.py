@@ -7,7 +7,7 @@ import re
 import msgspec
 import pytest
 
-from fibaction import Action, serve
+from fibaction import Action, __version__, serve
 from fibaction._api import ClientConnection
 from fibaction.border.abc import Connection
 from fibaction.cli.process.exit_codes import Failure
@@ -63,6 +63,8 @@ async def test_info_names_the_clients_and_the_servers(
         "    127.0.0.1:5\\x1b [arm/action/Wait]",
         "Action servers: 1",
         "    /robot [arm/action/Wait]",
+        f"Version of fibaction: {__version__}",
+        "Schedule: all goals run at once",
         "Goal:",
         "    seconds: 3600.0  # a number, optional",
         "    steps: 1  # a whole number, optional",

@@ -10,7 +10,15 @@ import anyio
 import msgspec
 import pytest
 
-from fibaction import ActionServer, ConnectionLost, TransportError, serve
+from fibaction import (
+    ActionServer,
+    ConnectionLost,
+    ServerNotFound,
+    TransportError,
+    __version__,
+    connect,
+    serve,
+)
 from fibaction.cli.bridge import sources
 from fibaction.cli.bridge.ends import open_end
 from fibaction.cli.bridge.sources import BridgedSources
@@ -113,6 +121,7 @@ async def test_a_server_is_listed_as_away_until_it_is_there_and_when_it_has_gone
             async with serve(ActionServer(FIBONACCI, fibonacci), robot):
                 listed = await until(reached=True)
                 assert (listed.actions, listed.away, listed.url) == (["arm/fibonacci"], None, robot)
+                assert listed.version == __version__
             gone = await until(reached=False)
             assert gone.away is not None
             assert (gone.actions, gone.workers) == (["arm/fibonacci"], [])
@@ -141,8 +150,26 @@ async def test_a_server_that_cannot_be_connected_to_is_tried_again(
         tasks.cancel_scope.cancel()
 
 
+async def test_the_only_server_has_to_be_there_and_several_may_come_later() -> None:
+    nobody, here = "tcp://127.0.0.1:1", "tcp://127.0.0.1:0"
+    with anyio.fail_after(60):
+        with pytest.raises(ServerNotFound):
+            async with BridgedSources({"": nobody}).served_at(here):
+                raise AssertionError
+        async with BridgedSources({"arm": nobody, "far": nobody}).served_at(here) as end:
+            async with connect(end.where) as connection:
+                assert await connection.actions() == []
+        async with serve(ActionServer(FIBONACCI, fibonacci), here) as (robot,):
+            async with BridgedSources({"arm": robot}).served_at(here) as end:
+                async with connect(end.where) as connection:
+                    [info] = await connection.actions()
+                    assert info.name == "arm/fibonacci"
+
+
 async def test_a_fleet_that_does_not_tell_its_workers_is_listed_without_them() -> None:
     class Away:
+        release = ""
+
         async def workers(self) -> NoReturn:
             raise ConnectionLost("the brokers are away")
 

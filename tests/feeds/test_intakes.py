@@ -1,4 +1,4 @@
-"""`fibaction.feeds.intakes`: the paused actions of a list."""
+"""`fibaction.feeds.intakes`: how the actions of a list take goals."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Forbidden(ForwardingEndpoint):
         raise TransportError("no")
 
 
-async def test_only_what_is_not_open_is_told_and_nobody_waits_for_one_that_does_not_answer(
+async def test_each_action_tells_how_it_takes_goals_and_nobody_waits_for_one_that_does_not_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(intakes, "INTAKES_TIMEOUT", 0.2)
     async with ActionServer(FIBONACCI, fibonacci) as server:
-        assert await intakes_of([server]) == {}
+        assert (await intakes_of([server]))["fibonacci"].mode is IntakeMode.OPEN
         paused = await server.change_intake(IntakeChange(IntakeMode.HOLD))
         assert await intakes_of([Silent(server), Forbidden(server)]) == {}
         assert await intakes_of([Silent(server), server]) == {"fibonacci": paused}

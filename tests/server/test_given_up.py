@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import AsyncGenerator
 from contextlib import closing
@@ -40,9 +41,13 @@ async def paint(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
 @pytest.fixture
 def server(tmp_path: Path) -> ActionServer[int, int, str]:
     """A server whose store has a goal that was given up at its checkpoint 4."""
+    return given_up_at(tmp_path, b"\x04")
+
+
+def given_up_at(tmp_path: Path, checkpoint: bytes | None) -> ActionServer[int, int, str]:
     path = tmp_path / "goals.db"
     goal = PAINT.goal.encode(9)
-    old = StoredGoal(OLD_ID, 1, UNKNOWN_SENDER, digest_of(goal), goal, checkpoint=b"\x04")
+    old = StoredGoal(OLD_ID, 1, UNKNOWN_SENDER, digest_of(goal), goal, checkpoint=checkpoint)
     old.status, old.reason, old.ended_at = GoalStatus.ABORTED, "lost", time.time_ns()
     with closing(JournalFile(str(path), "full")) as file:
         file.add(encode_row(file.next_number, [WholeRecord("paint", old)]))
@@ -61,6 +66,49 @@ async def test_it_runs_once_as_a_new_goal_from_its_last_checkpoint(
             outcome = await (await ActionClient(server, PAINT).attach(new)).outcome()
             assert outcome.result == "9 from 4"
             assert (await server.get_result(OLD_ID)).reason == "lost"
+
+
+@pytest.mark.parametrize("after", [None, 0])
+@pytest.mark.parametrize("is_forgotten", [False, True])
+async def test_who_follows_it_is_told_its_checkpoint_until_it_runs_again(
+    server: ActionServer[int, int, str], after: int | None, is_forgotten: bool
+) -> None:
+    with anyio.fail_after(30):
+        async with server:
+            if is_forgotten:
+                server._parts.registry.expire(math.inf)
+            stream = await server.feedback(OLD_ID, after=after)
+            assert stream.checkpoint == b"\x04"
+            assert (await stream.outcome()).reason == "lost"
+            if after == 0 or is_forgotten:
+                assert stream.goal == PAINT.goal.encode(9)
+            assert await server.rerun(OLD_ID) is not None
+            if not is_forgotten:
+                assert (await server.feedback(OLD_ID, after=after)).checkpoint is None
+
+
+async def test_one_that_has_made_no_checkpoint_is_told_apart_from_any_other_goal(
+    tmp_path: Path,
+) -> None:
+    async with given_up_at(tmp_path, None) as server:
+        assert (await server.feedback(OLD_ID)).checkpoint == b""
+        goal = await ActionClient(server, PAINT).send_goal(1)
+        await goal.outcome()
+        assert (await server.feedback(goal.goal_id)).checkpoint is None
+
+
+async def test_a_store_that_cannot_be_read_tells_the_end_without_the_checkpoint(
+    server: ActionServer[int, int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def fail(*_: object) -> None:
+        raise StoreError("a secret place is gone")
+
+    monkeypatch.setattr(SqliteJournal, "given_up", fail)
+    async with server:
+        assert (await server.feedback(OLD_ID)).checkpoint is None
+        server._parts.registry.expire(math.inf)
+        with pytest.raises(ServerFailed, match=r"^the server cannot read the history"):
+            await server.feedback(OLD_ID)
 
 
 async def test_a_server_without_a_store_has_given_up_none() -> None:

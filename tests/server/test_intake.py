@@ -28,7 +28,7 @@ from fibaction import (
 )
 from fibaction.border.goal_store import IntakeSource
 from fibaction.stores._writer import SqliteJournal
-from fibaction.words.intake import MOST_CHANGES, Intake, IntakeChange, IntakeMode
+from fibaction.words.intake import MOST_CHANGES, Intake, IntakeChange, IntakeMode, ScheduleInfo
 
 pytestmark = pytest.mark.anyio
 
@@ -114,7 +114,7 @@ async def test_a_goal_is_rejected_as_busy_if_the_operator_wants_that(
     async with driver.server as server:
         with caplog.at_level(logging.WARNING, "fibaction.server"):
             intake = await server.change_intake(REFUSE)
-        with pytest.raises(GoalRejected, match=r"paused since 2.* by ann: wet floor") as rejected:
+        with pytest.raises(GoalRejected, match=r"paused since \S+: wet floor") as rejected:
             await driver.client.send_goal(1)
         assert rejected.value.code is RejectionCode.BUSY
         assert intake == await server.intake()
@@ -261,7 +261,7 @@ async def test_a_pause_by_another_server_of_the_store_is_noticed(
                 await driver.client.send_goal(1)
             source.error = None
             source._intake = b"\xc1"
-            assert await server.intake() == Intake()
+            assert (await server.intake()).mode is IntakeMode.OPEN
             assert "its intake cannot be read, and is open" in caplog.text
             with pytest.raises(TransportError, match="has no workers"):
                 await server.change_intake(IntakeChange(IntakeMode.DRAIN, worker="a"))
@@ -394,3 +394,29 @@ async def test_a_pause_ends_a_drain_that_waits_for_goals_that_have_not_begun_onl
             await server.change_intake(HOLD)
             await is_drained.wait()
             server._parts.runs.suspects._discard(suspect)
+
+
+@pytest.mark.parametrize(
+    ("schedule", "told"),
+    [
+        (None, ScheduleInfo(max_goals=7)),
+        (
+            Schedule(concurrency=2, queue=9, key=lambda goal: goal, priority=lambda goal: goal),
+            ScheduleInfo(7, 2, None, 9, is_keyed=True, has_priority=True),
+        ),
+        (
+            Schedule(total=10**30, queue=1, queue_timeout=5, run_timeout=60, when_full="replace"),
+            ScheduleInfo(7, None, 2**31 - 1, 1, False, False, "replace", 5.0, 60.0),
+        ),
+    ],
+)
+async def test_a_server_tells_its_limits_which_a_store_does_not_keep(
+    schedule: Schedule | None, told: ScheduleInfo
+) -> None:
+    driver = Driver(schedule=schedule, max_goals=7)
+    async with driver.server as server:
+        for intake in (await server.intake(), await server.change_intake(HOLD)):
+            assert intake.schedule == told
+            assert intake.has_levers
+        kept = await server._parts.keeper.intakes.intake()
+        assert msgspec.msgpack.decode(kept, type=Intake).schedule is None

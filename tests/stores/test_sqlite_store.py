@@ -184,11 +184,16 @@ async def test_a_goal_that_was_given_up_comes_back_once_as_a_new_one(
     async with opened(SqliteStore(path, history=history)) as kept:
         await kept(kept.journal.accept, a_goal(checkpoint=b"half"))
         await kept(kept.journal.end, old)
+        found = await kept.journal.given_up(old.goal_id)
+        assert found is not None
+        assert (found.goal, found.checkpoint) == (b"goal", b"half")
+        assert await kept.journal.given_up(a_goal(2).goal_id) is None
         new_id = await kept.journal.rerun(old.goal_id)
         [new] = kept.found
         assert (new.goal_id, new.goal, new.checkpoint) == (new_id, b"goal", b"half")
         assert await kept.journal.rerun(old.goal_id) is None
         assert await kept.journal.rerun(new.goal_id) is None
+        assert [await kept.journal.given_up(old.goal_id) for _ in "12"] == [None, None]
         if history is not None:
             await kept(kept.journal.end, after_end(copy(new), ended_at=time.time_ns()))
             past = await kept.journal.past_goal(new.goal_id)
@@ -196,6 +201,40 @@ async def test_a_goal_that_was_given_up_comes_back_once_as_a_new_one(
             assert (past.goal, past.meta) == (b"goal", new.meta)
     async with opened(SqliteStore(path, history=history)) as kept:
         assert [goal.is_given_up for goal in kept.found] == [False, False]
+
+
+@pytest.mark.parametrize("history", [None, GoalHistory()], ids=["alone", "with a history"])
+async def test_a_goal_that_was_given_up_before_a_restart_is_found_until_its_time_is_over(
+    path: Path, history: GoalHistory | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until = time.time_ns() + 10**12
+    gone = {"status": GoalStatus.ABORTED, "goal": b"goal", "keep_until": until}
+    async with opened(SqliteStore(path, history=history)) as kept:
+        await kept(kept.journal.accept, a_goal())
+        await kept(kept.journal.end, after_end(a_goal(), **gone))
+    async with opened(SqliteStore(path, history=history)) as kept:
+        found = await kept.journal.given_up(a_goal().goal_id)
+        assert found is not None
+        assert found.checkpoint is None
+        monkeypatch.setattr(time, "time_ns", lambda: until)
+        assert await kept.journal.given_up(a_goal().goal_id) is None
+
+
+async def test_a_file_that_cannot_be_read_is_an_error_of_the_request_only(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with opened(SqliteStore(path)) as kept:
+        await kept(kept.journal.accept, a_goal())
+        await kept(kept.journal.end, after_end(a_goal(), status=GoalStatus.ABORTED, goal=b"goal"))
+
+        def fail(*_: object) -> None:
+            raise StoreError("the disk is gone")
+
+        with monkeypatch.context() as broken:
+            broken.setattr(JournalFile, "goals", fail)
+            with pytest.raises(StoreError, match="the disk is gone"):
+                await kept.journal.given_up(a_goal().goal_id)
+        assert await kept.journal.given_up(a_goal().goal_id) is not None
 
 
 async def test_a_store_that_has_failed_runs_no_goal_again(path: Path) -> None:

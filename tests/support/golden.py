@@ -48,7 +48,7 @@ from fibaction.wire.messages import (
     Why,
 )
 from fibaction.words.goals import GoalID
-from fibaction.words.intake import IntakeMode
+from fibaction.words.intake import IntakeMode, ScheduleInfo
 from fibaction.words.statuses import GoalStatus
 
 GOAL_ID = GoalID(bytes(range(16)))
@@ -142,14 +142,14 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "941e0ba96669626f6e61636369c410000102030405060708090a0b0c0d0e0f",
     ),
     (
-        Welcome(1, 1.0, 65536, 15.0, 30),
-        "962001cb3ff0000000000000ce00010000cb402e0000000000001e",
+        Welcome(1, 1.0, 65536, 15.0, 30, "7.8.9"),
+        "972001cb3ff0000000000000ce00010000cb402e0000000000001ea5372e382e39",
     ),
     (
-        Following(1, STAMP, GoalStatus.ACCEPTED, False, 0, 1, GOAL, PARENT, {"order": "17"}),
+        Following(1, STAMP, GoalStatus.ABORTED, False, 0, 1, GOAL, PARENT, {"order": "17"}, RESULT),
         (
-            "9a2101cf17979cfe362a000001c20001c40881a56f726465720a92c410000102030405060708090a"
-            "0b0c0d0e0fa47069636b81a56f72646572a23137"
+            "9b2101cf17979cfe362a000006c20001c40881a56f726465720a92c410000102030405060708090a"
+            "0b0c0d0e0fa47069636b81a56f72646572a23137c40f81a873657175656e63659400010102"
         ),
     ),
     (
@@ -213,8 +213,16 @@ GOLDEN: list[tuple[FromClient | FromServer, str]] = [
         "932e089193c410000102030405060708090a0b0c0d0e0f0205",
     ),
     (
-        Operated(9, IntakeMode.HOLD, [(IntakeMode.HOLD, "swap", "ann", STAMP)]),
-        "942f09a4686f6c649194a4686f6c64a473776170a3616e6ecf17979cfe362a0000",
+        Operated(
+            9,
+            IntakeMode.HOLD,
+            [(IntakeMode.HOLD, "swap", "ann", STAMP)],
+            ScheduleInfo(concurrency=1, queue=9),
+        ),
+        (
+            "962f09a4686f6c649194a4686f6c64a473776170a3616e6ecf17979cfe362a0000"
+            "82ab636f6e63757272656e637901a5717565756509c3"
+        ),
     ),
     (
         FeedbackBatch(1, 2, [FEEDBACK, FEEDBACK], [STAMP, STAMP + 5]),

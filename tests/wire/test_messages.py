@@ -30,6 +30,7 @@ from fibaction.wire.messages import (
     Hello,
     Logged,
     Operate,
+    Operated,
     Ping,
     Rejected,
     RunsAgain,
@@ -170,6 +171,8 @@ def values_of(kind: inspect.Type) -> SearchStrategy[Any]:
         case inspect.IntType(ge=least, le=most, lt=end):
             most = (end or 2**64) - 1 if most is None else most
             return strategies.integers(-(2**63) if least is None else least, most)
+        case inspect.FloatType(gt=None, ge=least, le=most):
+            return strategies.floats(least, most)
         case inspect.FloatType(gt=least, le=most):
             return strategies.floats(least, most, exclude_min=True)
         case inspect.StrType():
@@ -243,7 +246,7 @@ def test_fields_that_an_older_peer_does_not_send_get_their_default(
 
 
 def test_a_client_ignores_messages_of_a_newer_kind_and_no_others() -> None:
-    for newer in (packed(50), packed(200, 3, "more", {"any": b"thing"}), packed(2**40, None)):
+    for newer in (packed(51), packed(200, 3, "more", {"any": b"thing"}), packed(2**40, None)):
         assert decode_from_server(newer) == Ping()
         with pytest.raises(ProtocolError):
             decode_from_client(newer)
@@ -285,6 +288,8 @@ NULLABLE = {
     (Following, "goal"),
     (Following, "parent"),
     (Following, "labels"),
+    (Following, "checkpoint"),
+    (Operated, "schedule"),
     (GoalChanged, "parent"),
     (GoalChanged, "began_at"),
     (GoalChanged, "labels"),

@@ -15,13 +15,14 @@ from fibaction import (
     Permission,
     ServerNotFound,
     TransportError,
+    __version__,
     connect,
     serve,
 )
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.server import session
-from fibaction.words.intake import OPEN_INTAKE, Intake, IntakeChange, IntakeMode
+from fibaction.words.intake import FIXED_INTAKE, OPEN_INTAKE, Intake, IntakeChange, IntakeMode
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
 pytestmark = pytest.mark.anyio
@@ -66,7 +67,28 @@ async def test_only_a_client_that_may_operate_changes_anything(server: Any) -> N
                 await client.endpoint.change_intake(PAUSE)
             with pytest.raises(AuthenticationFailed, match="may not operate"):
                 await client.endpoint.rerun(OLD_ID)
-            assert await client.endpoint.intake() == Intake()
+            intake = await client.endpoint.intake()
+            assert (intake.mode, intake.changes) == (IntakeMode.OPEN, ())
+
+
+async def test_a_client_learns_the_version_the_schedule_and_whether_there_are_levers(
+    server: Any,
+) -> None:
+    class Fixed(ForwardingEndpoint):
+        async def intake(self) -> Intake:
+            return FIXED_INTAKE
+
+    async with serve(server, TCP) as (url,), serve(Fixed(server), TCP) as (other,):
+        async with connect(url) as connection, connect(other, FIBONACCI) as client:
+            intake = await connection.client(FIBONACCI).endpoint.intake()
+            assert connection.release == __version__
+            assert intake == await server.intake()
+            assert intake.schedule is not None
+            assert await client.endpoint.intake() == FIXED_INTAKE
+        kept = await connect(url)
+        await kept.actions()
+        assert kept.release == __version__
+        await kept.aclose()
 
 
 async def test_a_goal_that_was_given_up_runs_again_as_another_one(server: Any) -> None:
@@ -80,7 +102,7 @@ async def test_a_server_of_an_earlier_version_is_not_asked(
 ) -> None:
     monkeypatch.setattr(session, "NEWEST_FROM_CLIENT", 27)
     async with serve(server, TCP) as (url,), connect(url, FIBONACCI) as client:
-        assert await client.endpoint.intake() is OPEN_INTAKE
+        assert await client.endpoint.intake() is FIXED_INTAKE
         with pytest.raises(TransportError, match="earlier version"):
             await client.endpoint.change_intake(PAUSE)
         with pytest.raises(TransportError, match="earlier version, and runs no goal again"):

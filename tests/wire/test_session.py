@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import msgspec
@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from fibaction import GoalInfo, Parent
-from fibaction.border.abc import GoalRequest
+from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server import ActionServer
 from fibaction.testing import ScriptedServer
@@ -806,6 +806,31 @@ async def test_who_reads_an_ended_goal_of_another_one_is_told_what_was_sent(
         await sender.hear(Ended)
         following = await reader.ask(follow(after, own=False), Following)
         assert (following.status, following.goal) == (SUCCEEDED, told)
+
+
+class GivenUp(ForwardingEndpoint):
+    """A server that has given up each goal at a checkpoint."""
+
+    checkpoint = b"\x04"
+
+    async def feedback(self, *arguments: Any, **more: Any) -> GoalStream:
+        stream: Any = await super().feedback(*arguments, **more)
+        stream.checkpoint = self.checkpoint
+        return cast("GoalStream", stream)
+
+
+@pytest.mark.parametrize(("size", "told"), [(1, bytes(1)), (0, b""), (4096, b"")])
+async def test_an_observer_is_told_the_checkpoint_of_a_goal_that_was_given_up_if_it_fits(
+    size: int, told: bytes
+) -> None:
+    server = GivenUp(held())
+    server.checkpoint = bytes(size)
+    async with serving(server) as served:
+        sender, observer = await served.greet(), await served.greet(BOB, max_frame=LEAST_FRAME)
+        own = await sender.ask(SendGoal(1, "fibonacci", A, GOAL, ANY), Following)
+        assert own.checkpoint is None
+        following = await observer.ask(follow(None, own=False), Following)
+        assert (following.checkpoint, following.goal) == (told, GOAL)
 
 
 async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() -> None:

@@ -17,6 +17,7 @@ from weakref import WeakSet, WeakValueDictionary
 
 import msgspec
 
+from fibaction import __version__
 from fibaction.border.abc import (
     Connection,
     Endpoint,
@@ -155,6 +156,10 @@ class _InProcessConnection(Connection):
 
     async def actions(self) -> list[ActionInfo]:
         return [endpoint.info for endpoint in self.place.endpoints.values()]
+
+    @property
+    def release(self) -> str:
+        return __version__
 
     def check_is_open(self) -> None:
         """Raise ConnectionLost if the connection was closed."""

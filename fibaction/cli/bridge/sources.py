@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import AsyncGenerator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -13,12 +14,13 @@ import anyio
 import msgspec
 
 from fibaction._api import ClientConnection, connect
-from fibaction.border.abc import Absence
+from fibaction.border.abc import Absence, Transport
+from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.namespaces import Namespace
 from fibaction.cli.arguments.options import reject_inproc
 from fibaction.cli.bridge.actions import BridgedActions
-from fibaction.cli.bridge.ends import BridgeEnd
+from fibaction.cli.bridge.ends import BridgeEnd, open_end
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import note
@@ -140,7 +142,8 @@ class SourceServer:
                     self._workers = []
         names = [one.info.name for one in self._actions.endpoints] if self._actions else []
         url = without_settings(self.url)
-        return ListedServer(self.name, url, sorted(names), self.absence, self._workers)
+        version = self._connection.release if self._connection is not None else ""
+        return ListedServer(self.name, url, sorted(names), self.absence, self._workers, version)
 
 
 class BridgedSources(Sources):
@@ -152,6 +155,28 @@ class BridgedSources(Sources):
 
     def __str__(self) -> str:
         return ", ".join(without_settings(one.url) for one in self.all)
+
+    @asynccontextmanager
+    async def served_at(self, where: str | Transport) -> AsyncGenerator[BridgeEnd, None]:
+        """Serve their actions at an address while the block lasts. A server that is not there is
+        tried again, unless it is the only one.
+
+        Raises:
+            TransportError: It cannot be used, or the only server is not there.
+        """
+        async with AsyncExitStack() as block:
+            if len(self.all) == 1:
+                connection = await block.enter_async_context(self.all[0].open())
+                await connection.actions()
+                end = await block.enter_async_context(open_end(where))
+                serving = [(await self.all[0].begin(connection, end)).follow]
+            else:
+                end = await block.enter_async_context(open_end(where))
+                serving = [partial(source.serve, end) for source in self.all]
+            tasks = await block.enter_async_context(Background())
+            for serve in serving:
+                tasks.start_soon(serve)
+            yield end
 
     async def infos(self) -> list[ListedServer]:
         found: dict[str, ListedServer] = {}

@@ -75,6 +75,14 @@ class TextPrinter:
         reason = f" ({clean(outcome.reason)})" if outcome.reason else ""
         say(f"Goal finished with status: {outcome.status.name}{reason}")
 
+    def given_up(self, checkpoint: Any) -> None:
+        """Print the last checkpoint of a goal that its server has given up; None if it has none."""
+        what = "Its server has given it up, and can run it again"
+        if checkpoint is None:
+            say(f"{what} from its beginning.")
+        else:
+            self._say(f"{what} from its checkpoint:", checkpoint)
+
     def _say(self, title: str, value: Any) -> None:
         say(f"{title}\n{as_yaml(value, full=self._full, indent=INDENT)}\n")
 
@@ -109,6 +117,9 @@ class JsonPrinter(TextPrinter):
 
     def ended(self, outcome: Outcome[Any]) -> None:
         say_json({"event": "result"} | outcome.members)
+
+    def given_up(self, checkpoint: Any) -> None:
+        say_json({"event": "given_up", "checkpoint": checkpoint})
 
 
 def goal_printer(*, feedback: bool, as_json: bool, full: bool) -> TextPrinter:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 import click
+import msgspec
 
 from fibaction._api import connect
 from fibaction.cli.arguments.completion import ACTION, GOAL_ID, namespace_option
@@ -77,3 +78,5 @@ async def _attach(
     printer = goal_printer(feedback=True, as_json=as_json, full=full)
     printer.accepted(goal_id, stream.stamp, stream.info.parent)
     codes.append(await print_goal(stream, client.action, printer, live=not full))
+    if stream.checkpoint is not None:
+        printer.given_up(msgspec.msgpack.decode(stream.checkpoint) if stream.checkpoint else None)

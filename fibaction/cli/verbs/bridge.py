@@ -146,14 +146,11 @@ async def bridge_several(urls: dict[str, str], to_url: str) -> int:
         TransportError: It cannot be used.
     """
     sources, to = BridgedSources(urls), without_settings(to_url)
-    async with stop_signals() as stop, open_end(to_url) as end:
+    async with stop_signals() as stop, sources.served_at(to_url) as end:
         if not end.can_change:
             raise Failure(f"the actions at {to} stay the same, so a bridge to it has one FROM_URL")
-        async with Background() as tasks:
-            for source in sources.all:
-                tasks.start_soon(source.serve, end)
-            say(f"bridging from {sources} to {end.where or to}, Ctrl-C stops it")
-            await stop.wait()
+        say(f"bridging from {sources} to {end.where or to}, Ctrl-C stops it")
+        await stop.wait()
     return ExitCode.SUCCEEDED
 
 

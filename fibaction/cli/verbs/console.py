@@ -14,8 +14,6 @@ import secrets
 import sys
 import webbrowser
 from collections.abc import Mapping
-from contextlib import AsyncExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -108,20 +106,8 @@ async def console(urls: dict[str, str], port: int, *, opens: bool) -> int:
     """
     sources = BridgedSources(urls)
     page, token = page_at(port, sources=sources)
-    async with stop_signals() as stop, AsyncExitStack() as block:
-        if len(sources.all) == 1:
-            connection = await block.enter_async_context(sources.all[0].open())
-            await connection.actions()
-            end = await block.enter_async_context(open_end(page))
-            serving = [(await sources.all[0].begin(connection, end)).follow]
-        else:
-            end = await block.enter_async_context(open_end(page))
-            serving = [partial(source.serve, end) for source in sources.all]
-        async with Background() as tasks:
-            for serve in serving:
-                tasks.start_soon(serve)
-            where = f"{end.where}/#token={token}"
-            await show_page(str(sources), where, stop, opens=opens)
+    async with stop_signals() as stop, sources.served_at(page) as end:
+        await show_page(str(sources), f"{end.where}/#token={token}", stop, opens=opens)
     return ExitCode.SUCCEEDED
 
 

@@ -13,7 +13,13 @@ from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
-from fibaction.cli.verbs.list import count_option, types_option, with_type
+from fibaction.cli.verbs.list import (
+    count_option,
+    intake_json,
+    intakes_at,
+    types_option,
+    with_type,
+)
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ServerNotFound
 
@@ -52,18 +58,22 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
             peers = await connection.peers(info.name)
         except (ServerNotFound, UnicodeError) as exc:  # a name that is not text has no server
             raise no_action(name, actions) from exc
+        intake = (await intakes_at(connection, found)).get(info.name)
+        release = connection.release
     if not (found or peers.servers or peers.clients):
         raise no_action(name, actions)
     if as_json:
-        schemas = {
+        schemas: dict[str, object] = {
             "goal": info.goal,
             "feedback": info.feedback,
             "result": info.result,
             "template": GoalTemplate(info.goal).goal,
             "description": info.description,
+            "version": release,
         }
         names = {"clients": peers.clients, "servers": peers.servers}
-        say_json({"name": info.name, "type": info.type_name, **names, **({} if count else schemas)})
+        more = {} if count else schemas | intake_json(intake)
+        say_json({"name": info.name, "type": info.type_name, **names, **more})
         return ExitCode.SUCCEEDED
     say(f"Action: {excerpt(shown(info.name))}")
     for line in () if count else info.description.splitlines()[:LONGEST_TEXT]:
@@ -72,6 +82,13 @@ async def print_info(url: str, name: str, *, show_types: bool, count: bool, as_j
         say(f"Action {role}: {len(peer_names)}")
         for one in () if count else peer_names:
             say(f"    {with_type(one, info.type_name if show_types else '')}")
+    if release and not count:
+        say(f"Version of fibaction: {excerpt(release)}")
+    if intake is not None and not count:
+        if intake.schedule is not None:
+            say(f"Schedule: {intake.schedule.text}")
+        if intake.text:
+            say(f"Intake: {intake.text}")
     if info.goal and not count:
         say("Goal:")
         for line in GoalTemplate(info.goal).lines():

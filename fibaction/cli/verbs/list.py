@@ -8,6 +8,7 @@ from itertools import groupby
 from types import MappingProxyType
 
 import click
+import msgspec
 
 from fibaction._api import ClientConnection, connect
 from fibaction.border.endpoints import Endpoint
@@ -67,20 +68,21 @@ async def list_actions(
     """
     async with connect(url) as connection:
         actions = await namespace.narrow(connection).actions()
-        intakes = {} if count else await _intakes(connection, actions)
+        intakes = {} if count else await intakes_at(connection, actions)
     if group:
         print_groups(actions, show_types=show_types, count=count, as_json=as_json)
     else:
         print_actions(actions, show_types=show_types, count=count, as_json=as_json, intakes=intakes)
     for name in sorted(intakes, key=shown) if not as_json else ():
-        note(f"{shown(name)}: {intakes[name].text}")
+        if text := intakes[name].text:
+            note(f"{shown(name)}: {text}")
     return ExitCode.SUCCEEDED
 
 
-async def _intakes(
+async def intakes_at(
     connection: ClientConnection, actions: Collection[ActionInfo]
 ) -> dict[str, Intake]:
-    """Return how actions take goals that are paused, or whose server drains."""
+    """Return how actions take goals, as far as their servers tell it in time."""
     endpoints: list[Endpoint] = []
     for info in actions:
         with suppress(ActionError):  # its type is not known here
@@ -122,8 +124,7 @@ def print_actions(
         return
     for info in sorted(actions, key=lambda info: shown(info.name)):
         if as_json:
-            intake = intakes.get(info.name)
-            say_json(_json(info) | ({"intake": intake.mode.value} if intake else {}))
+            say_json(_json(info) | intake_json(intakes.get(info.name)))
         else:
             say(with_type(shown(info.name), info.type_name if show_types else ""))
 
@@ -146,6 +147,16 @@ def print_groups(
         for info in () if count else infos:
             name = shown(info.name).rpartition("/")[2]
             say(f"    {with_type(name, info.type_name if show_types else '')}")
+
+
+def intake_json(intake: Intake | None) -> dict[str, object]:
+    """Return how an action takes goals, if that is not as usual, and its schedule, for programs."""
+    if intake is None:
+        return {}
+    told: dict[str, object] = {"intake": intake.mode.value} if intake.text else {}
+    if intake.schedule is not None:
+        told["schedule"] = msgspec.to_builtins(intake.schedule)
+    return told
 
 
 def _json(info: ActionInfo) -> dict[str, object]:

@@ -18,7 +18,7 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import excerpt
 from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.border.event_loop import Slices
-from fibaction.border.goal_store import StoredGoal
+from fibaction.border.goal_store import StoredGoal, checkpoint_to_tell
 from fibaction.feeds.feedback_log import FeedbackCursor, FeedbackLog
 from fibaction.feeds.followed_goal import GoalFacts
 from fibaction.server.admission.callbacks import awaited, failures_as
@@ -218,7 +218,7 @@ class PastGoals:
     ) -> FeedbackCursor:
         """Return a stream of a goal that the server remembers, or else of one of the past, which
         begins with its outcome. Who reads a goal from its beginning after its end gets its payload,
-        too, if the history has it.
+        too, if the history has it. One that was given up has its checkpoint.
 
         Raises:
             UnknownGoal: It is neither.
@@ -227,19 +227,32 @@ class PastGoals:
         """
         try:
             cursor = self._logs.follow(goal_id, own=own, after=after, attempt=attempt)
-            if cursor.goal is None and after is not None and not self._budget.is_over:
-                with suppress(ServerFailed):  # the rest of the goal is remembered
-                    past = await self._find(goal_id)
-                    cursor.past_goal = None if past is None else past.goal
+            if not self._budget.is_over:
+                await self._tell_rest(cursor, from_beginning=after is not None)
             return cursor
         except UnknownGoal:
-            past = await self._find(goal_id)
+            kept = await self._given_up(goal_id)
+            past = kept or await self._find(goal_id)
             if past is None:
                 raise
         if self._budget.is_over:
             raise LimitReached("the server holds too many bytes to read a goal of the past")
         log = FeedbackLog(self._facts(past), payload=past.goal)
-        return log.follow(own=own, after=after, attempt=attempt)
+        cursor = log.follow(own=own, after=after, attempt=attempt)
+        cursor.checkpoint = checkpoint_to_tell(kept)
+        return cursor
+
+    async def _tell_rest(self, cursor: FeedbackCursor, *, from_beginning: bool) -> None:
+        """Add what the store has of a goal whose end is remembered, and can be told without it."""
+        past: StoredGoal | None = None
+        with suppress(ServerFailed):
+            if self._logs.is_given_up(cursor.goal_id):
+                past = await self._given_up(cursor.goal_id)
+                cursor.checkpoint = checkpoint_to_tell(past)
+            if past is None and cursor.goal is None and from_beginning:
+                past = await self._find(cursor.goal_id)
+        if past is not None and from_beginning:
+            cursor.past_goal = past.goal
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         """See `Endpoint.rerun`.
@@ -262,6 +275,12 @@ class PastGoals:
         except StoreError as exc:
             raise self._failure(exc) from exc
 
+    async def _given_up(self, goal_id: GoalID) -> StoredGoal | None:
+        try:
+            return await self._keeper.past.given_up(goal_id)
+        except StoreError as exc:
+            raise self._failure(exc) from exc
+
     def _facts(self, past: StoredGoal) -> GoalFacts:
         facts = GoalFacts(GoalID(past.goal_id), past.stamp)
         facts.told_info = past.info
@@ -269,7 +288,7 @@ class PastGoals:
         facts.feedback_count = past.feedback_count
         facts.told_status = past.status
         facts.outcome = past.outcome
-        size = len(past.goal) + facts.outcome.size
+        size = len(past.goal) + len(past.checkpoint or b"") + facts.outcome.size
         facts.held = CountedBytes(self._budget, size)
         return facts
 

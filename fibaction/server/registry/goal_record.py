@@ -125,7 +125,7 @@ class GoalRecord:
         self.suspicion = ""
         """The reason for which the goal is to run alone; empty if it need not: see `suspects`."""
         self.is_given_up = False
-        """True if the server ends the goal instead of running it again."""
+        """True if the server ends the goal instead of running it again, or has ended it so."""
 
     @classmethod
     def of_stored(cls, stored: StoredGoal, held: HeldBytes, deadline: float) -> GoalRecord:
@@ -134,6 +134,7 @@ class GoalRecord:
         goal = cls(goal_id, stored.digest, stored.stamp, stored.sender, held, deadline)
         goal.phase = Phase.ENDED if stored.status.is_terminal else Phase.WAITING
         goal.attempt = max(stored.attempt, 1)
+        goal.is_given_up = stored.is_given_up
         goal.take_origin(stored.meta)
         goal.began_at = stored.began_at or None
         return goal

@@ -64,7 +64,7 @@ class IntakeRule:
     def follow(self, intake: Intake) -> None:
         """Let goals wait, and reject new ones, by an intake."""
         self.holds = intake.mode is not IntakeMode.OPEN
-        self.busy = f"busy: {intake.text}" if intake.mode is IntakeMode.REFUSE else ""
+        self.busy = f"busy: {intake.text_for_all}" if intake.mode is IntakeMode.REFUSE else ""
 
 
 MAX_GOALS = 20_000

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from fibaction._runtime.settings_struct import SettingsStruct
 from fibaction.server.admission.sender_argument import GoalFunction, with_sender
+from fibaction.words.intake import ScheduleInfo, told_count, told_time
 
 WORDS = ("reject", "preempt", "replace")
 LONGEST_LIMIT_NAME = 50
@@ -95,6 +96,21 @@ class Schedule(SettingsStruct, frozen=True, kw_only=True):
         self._check_has_effect()
         if self.fleet_limit:
             self._check_holds_in_a_fleet()
+
+    def told(self, max_goals: int) -> ScheduleInfo:
+        """Return the limits as they are told to clients, with the one of active goals."""
+        return ScheduleInfo(
+            max_goals=told_count(max_goals),
+            concurrency=told_count(self.concurrency),
+            total=told_count(self.total),
+            queue=told_count(self.queue) or 0,
+            is_keyed=self.key is not None,
+            has_priority=self.priority is not None,
+            when_full=self.when_full,
+            queue_timeout=told_time(self.queue_timeout),
+            run_timeout=told_time(self.run_timeout),
+            fleet_limit=self.fleet_limit,
+        )
 
     def _check_has_effect(self) -> None:
         if self.concurrency is None and self.total is None:

@@ -38,6 +38,7 @@ from typing import Any
 
 import anyio
 
+from fibaction._runtime.text import shortened
 from fibaction.border.abc import Absence, Connection, Endpoint, GoalRequest, LogLine
 from fibaction.border.event_loop import Background
 from fibaction.types.action import Action, ActionInfo
@@ -80,6 +81,8 @@ from fibaction.words.goal_query import PastPage
 from fibaction.words.goals import ActionPeers, CancelAnswer, GoalID, GoalInfo
 from fibaction.words.intake import Intake, IntakeChange
 
+LONGEST_RELEASE = 50
+"""Characters of the version of a server, at most."""
 OPEN_TIMEOUT = 5.0
 """Seconds that one attempt to connect may take."""
 WAITING_GOAL = 64
@@ -119,6 +122,7 @@ class RemoteConnection(Connection):
         self._reconnector = Reconnector(url, settings, self._attempt, self.calls.fail)
         self.lost_at: float | None = None
         """Time at which the last line was lost; None while there is one, and before the first."""
+        self._release = ""
 
     def endpoint(self, action: Action[Any, Any, Any] | ActionInfo) -> Endpoint:
         info = action.info if isinstance(action, Action) else action
@@ -131,6 +135,10 @@ class RemoteConnection(Connection):
     async def peers(self, action: str) -> ActionPeers:
         answer: Peers = await self.calls.ask(lambda call_id: AskPeers(call_id, action), Peers)
         return ActionPeers((self._url,), tuple(answer.clients))
+
+    @property
+    def release(self) -> str:
+        return self._release
 
     async def first_attempt(self) -> None:
         """Wait until the first attempt to connect has succeeded or failed.
@@ -225,6 +233,7 @@ class RemoteConnection(Connection):
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
         self._link.heartbeat.agree(welcome.heartbeat, welcome.max_heartbeat)
         self.lost_at = None
+        self._release = shortened(welcome.release, LONGEST_RELEASE)
         self.calls.reopen(self._link, welcome.max_frame, welcome.newest)
         self._reconnector.opened()
 

@@ -71,7 +71,7 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goal_query import MOST_PAST, PastPage, place_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
-from fibaction.words.intake import MOST_CHANGES, OPEN_INTAKE, Intake, IntakeChange
+from fibaction.words.intake import FIXED_INTAKE, MOST_CHANGES, OPEN_INTAKE, Intake, IntakeChange
 from fibaction.words.meta import checked_meta
 
 BURST = 32
@@ -261,7 +261,7 @@ class OpenCalls:
         return CancelAnswer(CancelCode(answer.return_code), goals, shortened(answer.reason))
 
     async def operate(self, action: str, change: IntakeChange | None = None) -> Intake:
-        """Change how an action takes goals, or only ask; that of an older server is open.
+        """Change how an action takes goals, or only ask; an older server has no levers.
 
         Raises:
             ActionError: As for `ask`.
@@ -269,7 +269,7 @@ class OpenCalls:
         """
         if self._newest < OPERATE:
             if change is None:
-                return OPEN_INTAKE
+                return FIXED_INTAKE if self._newest else OPEN_INTAKE
             raise self._not_known("and cannot be paused")
 
         def opening(call_id: int) -> Operate:
@@ -280,7 +280,7 @@ class OpenCalls:
 
         answer: Operated = await self.ask(opening, Operated)
         changes = (IntakeChange(*one) for one in answer.changes[:MOST_CHANGES])
-        return Intake(answer.mode, tuple(changes))
+        return Intake(answer.mode, tuple(changes), answer.schedule, answer.has_levers)
 
     async def rerun(self, action: str, goal_id: GoalID) -> GoalID | None:
         """Run a goal again that was given up, and return the ID of the new one.

@@ -285,6 +285,8 @@ class RemoteGoal(Call, UnreadFeedback):
                 self._parent = parent_from(message.parent)
             if message.labels is not None:
                 self._labels = labels_from(message.labels)
+            if message.checkpoint is not None:
+                self.checkpoint = message.checkpoint
 
     # Messages of the server
 

@@ -22,7 +22,7 @@ from fibaction.wire.messages.fields import (
     Stamp,
     WireMessage,
 )
-from fibaction.words.intake import IntakeMode
+from fibaction.words.intake import IntakeMode, ScheduleInfo
 from fibaction.words.statuses import GoalStatus
 
 
@@ -39,6 +39,8 @@ class Welcome(WireMessage, tag=32):
     one sends its messages at least this often."""
     newest: Count = 27
     """Highest tag of the messages of a client that the server knows."""
+    release: str = ""
+    """Version of fibaction at the server; empty if it does not tell it."""
 
 
 @final
@@ -66,6 +68,10 @@ class Following(WireMessage, tag=33):
     labels: dict[str, str] | None = None
     """Labels of the goal, as in `GoalChanged`: in the first answer to `Follow`, for a client that
     did not send it."""
+    checkpoint: bytes | None = None
+    """Last checkpoint of a goal that the server has given up and can run again, a payload; empty if
+    it has none, or none that fits into a frame that the client accepts: in the first answer to
+    `Follow`, for a client that did not send it. Nil for any other goal."""
 
 
 @final
@@ -265,6 +271,10 @@ class Operated(WireMessage, tag=47):
     mode: IntakeMode
     changes: list[tuple[IntakeMode, str, str, Stamp]]
     """Newest changes, newest first: mode, reason, operator, and time in nanoseconds since 1970."""
+    schedule: ScheduleInfo | None = None
+    """Limits of the server; nil if it does not tell them."""
+    has_levers: bool = True
+    """False if the way in which the action takes goals cannot be changed from here."""
 
 
 @final

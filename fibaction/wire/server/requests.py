@@ -305,7 +305,8 @@ class RequestHandlers:
                 change = self._change_of(message.mode, message.reason, message.by, message.worker)
                 intake = await endpoint.change_intake(change)
             changes = [(one.mode, one.reason, one.by, one.at) for one in intake.changes]
-            await self._say(Operated(message.id, intake.mode, changes))
+            more = intake.schedule, intake.has_levers
+            await self._say(Operated(message.id, intake.mode, changes, *more))
 
     async def _rerun(self, message: Rerun, _subscription: RequestSubscription) -> None:
         endpoint = await self._find(message.action, Permission.OPERATE)

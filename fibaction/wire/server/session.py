@@ -42,6 +42,7 @@ from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
 from fibaction._runtime.log import clean_logger
+from fibaction._runtime.release import RELEASE
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget
@@ -185,7 +186,12 @@ class Session:
         longest = min(limits.heartbeat, LONGEST_HEARTBEAT)
         self._link.heartbeat.agree(min(hello.heartbeat, longest))
         welcome = Welcome(
-            VERSION, self._settings.heartbeat, limits.frame, longest, NEWEST_FROM_CLIENT
+            VERSION,
+            self._settings.heartbeat,
+            limits.frame,
+            longest,
+            NEWEST_FROM_CLIENT,
+            RELEASE,
         )
         self._link.post(encode(welcome))
 

@@ -105,6 +105,11 @@ class SessionClient:
             )
         return self.find(action)
 
+    async def may_observe(self, action: str) -> bool:
+        """Return whether the client may observe an action."""
+        assert self._peer is not None
+        return await self._settings.access.permits(self._peer, action, Permission.OBSERVE)
+
     def change_of(
         self, mode: IntakeMode, reason: str, by: str = "", worker: str = ""
     ) -> IntakeChange:

@@ -202,6 +202,7 @@ class GoalSubscription(WireSubscription):
                 self._opening.goal = stream.goal
             self._opening.parent = parent_fields(info.parent)
             self._opening.labels = told_labels(info.labels)
+            self._opening.checkpoint = stream.checkpoint
         if self.closed:
             self._close(stream)
         self._tell()
@@ -212,8 +213,11 @@ class GoalSubscription(WireSubscription):
         return Following(self.request, stream.stamp, stream.status, stream.latest, place, attempt)
 
     def _opening_frame(self, opening: Following) -> bytes:
-        """Return the frame of the first message, without the goal if it is too large with it."""
+        """Return the frame of the first message, without what it is too large with."""
         frame = encode(opening)
+        if len(frame) > self._max_frame and opening.checkpoint:
+            opening.checkpoint = b""
+            frame = encode(opening)
         if len(frame) > self._max_frame:
             opening.goal = None
             frame = encode(opening)
@@ -262,7 +266,8 @@ class GoalSubscription(WireSubscription):
             stream.news.on_next = self._tell
             if self._opening is not None:
                 opening, self._opening = self._opening, None
-                return [self._opening_frame(opening) if opening.goal else encode(opening)]
+                is_large = opening.goal or opening.checkpoint
+                return [self._opening_frame(opening) if is_large else encode(opening)]
             updates = stream.take(min(self.credit, self._piece))
             # The numbers of the feedback may begin again, at a gateway whose server was restarted.
             begins = self._begin_attempt(stream) if stream.attempt != self._attempt else []

@@ -20,7 +20,7 @@ class Place(NamedTuple):
 
 _PLACES = [
     Place("pyproject.toml", r'^version = "(?P<version>.+)"$'),
-    Place("fibaction/__init__.py", r'^__version__ = "(?P<version>.+)"$'),
+    Place("fibaction/_runtime/release.py", r'^RELEASE = "(?P<version>.+)"$'),
     Place("CITATION.cff", r"^version: (?P<version>.+)$"),
     Place("zensical.toml", r'^version = "(?P<version>.+)"$'),
     Place(
@@ -28,6 +28,7 @@ _PLACES = [
         r'^  "version": "(?P<version>.+)",$',
     ),
     Place("docs/cli.md", r"^fibaction (?P<version>\S+) here, version "),
+    Place("docs/cli.md", r"^Version of fibaction: (?P<version>\S+)$"),
     Place("README.md", r"^This is version (?P<version>[\d.]+),", is_series=True),
     Place("SECURITY.md", r"^\| (?P<version>[\d.]+), and the newest commit \|", is_series=True),
 ]

@@ -461,6 +461,19 @@ async def test_a_goal_that_has_ended_is_told_by_its_record_when_its_owner_is_gon
             assert (await asking.answer()).status is GoalStatus.SUCCEEDED
 
 
+async def test_the_record_of_a_goal_that_was_given_up_tells_its_checkpoint(
+    fleet: FakeFleet,
+) -> None:
+    given_up = {"status": GoalStatus.ABORTED, "ended_at": 1, "checkpoint": b"\x04"}
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **given_up)
+        a.hang_up()
+        a.end_lease()
+        stream = await connection.endpoint(COUNT).feedback(GOAL_ID)
+        assert stream.checkpoint == b"\x04"
+        assert stream.goal is not None
+
+
 # Goals that move between the look at their records and the question
 
 

@@ -110,3 +110,20 @@ async def test_a_fleet_keeps_so_many_of_them_also_over_restarts_of_its_workers()
             await sleep(LEASE)
             kept = [one.stamp for one in (await given_up_goals(a.broker, NAMES))["count"]]
             assert kept == [*range(4, 12), 20]
+
+
+async def test_one_is_read_with_its_checkpoint_as_long_as_it_can_run_again() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a"):
+        keep(shared, given_up())
+        keep(shared, goal(2))
+        history = FleetHistory(shared.member(), NAMES, "count")
+        found = await history.given_up(given_up().goal_id)
+        assert found is not None
+        assert found.checkpoint == b"half"
+        for number in (2, 3):
+            assert await history.given_up(goal(number).goal_id) is None
+        await history.rerun(given_up().goal_id)
+        assert await history.given_up(given_up().goal_id) is None
+        shared.put(NAMES.goal("count", goal(6).goal_id), b"of a later version", 0, 60)
+        with pytest.raises(StoreError, match="cannot be read"):
+            await history.given_up(goal(6).goal_id)

@@ -6,8 +6,9 @@ import anyio
 import pytest
 
 from fibaction import Peer, Permission, ServerNotFound, connect, serve
-from fibaction.border.abc import ForwardingEndpoint, Intake, IntakeChange
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, Intake, IntakeChange
 from fibaction.border.http_access import Refused
+from fibaction.words.intake import NO_LEVERS
 from fibaction_transports.web.rest.intakes import wanted_in
 from tests.support.fibonacci import FIBONACCI
 from tests.transports.tcp.servers import new_server
@@ -56,7 +57,8 @@ async def test_who_may_not_operate_is_refused() -> None:
     async with serve(new_server(), HTTP, authorize=authorize) as (url,):
         answer = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
         assert answer.status == 403
-        assert (await fetch(url, "GET", f"{ACTION}/intake")).json == {"mode": "open", "changes": []}
+        told = (await fetch(url, "GET", f"{ACTION}/intake")).json
+        assert (told["mode"], told["changes"], told["has_levers"]) == ("open", [], True)
 
 
 @pytest.mark.parametrize("body", [b"", b"[]", b'{"mode": "stop"}', b'{"mode": "hold", "x": 1}'])
@@ -73,3 +75,36 @@ async def test_a_server_that_is_away_is_not_a_lever_that_is_missing() -> None:
     async with new_server() as server, serve(Away(server), HTTP) as (url,):
         answer = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
         assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+
+
+async def test_only_who_may_observe_learns_who_has_paused_an_action_and_its_schedule() -> None:
+    may = {Permission.OBSERVE, Permission.OPERATE}
+
+    def authorize(_peer: Peer, _action: str, permission: Permission) -> bool:
+        return permission in may
+
+    async with serve(new_server(), HTTP, authorize=authorize) as (url,):
+        await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold", "reason": "wet floor"})
+        [seen] = (await fetch(url, "GET", "/actions")).json
+        assert " by 127.0.0.1:" in seen["intake"]["text"]
+        assert seen["schedule"] == {"text": "all goals run at once", "max_goals": 20000}
+        assert "no_levers" not in seen
+        may.remove(Permission.OBSERVE)
+        [listed] = (await fetch(url, "GET", "/actions")).json
+        assert listed["intake"]["mode"] == "hold"
+        assert listed["intake"]["text"].endswith(":00: wet floor")
+        assert "127.0.0.1" not in listed["intake"]["text"]
+        assert "schedule" not in listed
+
+
+async def test_an_action_that_cannot_be_paused_says_so_in_its_list_and_refuses_the_lever() -> None:
+    class Fixed(ForwardingEndpoint):
+        intake = Endpoint.intake
+        change_intake = Endpoint.change_intake
+
+    async with new_server() as server, serve(Fixed(server), HTTP) as (url,):
+        [listed] = (await fetch(url, "GET", "/actions")).json
+        assert listed["no_levers"] == NO_LEVERS
+        refused = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
+        assert refused.status == 409
+        assert refused.json["detail"] == f"the action 'fibonacci' stays as it is: {NO_LEVERS}"

@@ -29,6 +29,7 @@ from fibaction import (
     Sender,
     SqliteStore,
     Watcher,
+    __version__,
     connect,
     serve,
 )
@@ -98,11 +99,12 @@ async def test_actions_are_listed_and_described() -> None:
         (listed,) = (await fetch(url, "GET", "/actions")).json
         assert (listed["name"], set(listed)) == (
             "fibonacci",
-            {"name", "type_name", "goal", "feedback", "result"},
+            {"name", "type_name", "goal", "feedback", "result", "schedule"},
         )
         assert (await fetch(url, "GET", ACTION)).json == listed
         described = await fetch(url, "GET", "/openapi.json")
         assert GOALS in described.json["paths"]
+        assert described.json["info"]["x-fibaction"] == __version__
         assert described.headers["content-type"] == "application/json"
         assert described.headers["x-content-type-options"] == "nosniff"
 

@@ -57,6 +57,7 @@ from fibaction.border.abc import (
     StatusStream,
     cancel_each,
 )
+from fibaction.border.goal_store import checkpoint_to_tell
 from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
@@ -235,7 +236,10 @@ class FleetEndpoint(Endpoint):
                 raise error  # its owner has forgotten it, and the record goes soon
             if isinstance(error, ConnectionLost) and found.is_alive:
                 return None
-            return ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+            goal = ended_goal(request(self._parts.connections.next_id(), 1), found.goal)
+            if found.goal.is_given_up:
+                goal.checkpoint = checkpoint_to_tell(found.goal)
+            return goal
 
         followed = await self._at_owner(goal_id, follow, ended)
         return followed or await self._feedback_without_record(goal_id, request)

@@ -31,7 +31,7 @@ from fibaction.words.goals import GoalID, GoalInfo
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway, BrokerRecord, BrokerWatch
 from fibaction_transports.nats.history.given_up import rerun_goal
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import past_goal
+from fibaction_transports.nats.records import goal_entry, past_goal
 
 HISTORY_TIMEOUT = 10.0
 """Seconds within which the brokers tell more of the history."""
@@ -112,6 +112,16 @@ class FleetHistory(PastSource):
         except BrokerAway as exc:
             raise StoreError(f"the history of the fleet cannot be read: {exc}") from exc
         return newest
+
+    async def given_up(self, goal_id: GoalID) -> StoredGoal | None:
+        """See `PastSource.given_up`."""
+        subject = self._names.goal(self.action, goal_id)
+        try:
+            record = await self._broker.get(self._names.goals, subject)
+            goal = goal_entry(record.data).goal if record is not None and record.data else None
+        except (BrokerAway, ProtocolError) as exc:
+            raise StoreError(f"the record of goal {goal_id} cannot be read: {exc}") from exc
+        return goal if goal is not None and goal.is_given_up else None
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         """See `PastSource.rerun`: one of the workers gets the new goal."""

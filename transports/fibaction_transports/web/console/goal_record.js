@@ -44,6 +44,8 @@ export class GoalRecord {
     this.worker = "";
     this.goal = undefined;
     this.result = undefined;
+    this.checkpoint = undefined; // of a goal that was given up; null if it has none
+    this.isAskedAbout = false;
     this.reason = "";
     this.feedback = undefined;
     this.feedbackCount = 0;

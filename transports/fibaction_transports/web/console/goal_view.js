@@ -13,8 +13,6 @@ import { Topics } from "./topics.js";
 import { textOf } from "./values.js";
 
 const A_LINE = 24;
-/** The reasons of goals that a server has given up (see `LostAttempts` and `Recovery` there). */
-const GIVEN_UP = /^(given up after |the server was restarted$|the worker .+ was lost$|the stored goal does not fit )/;
 
 export class GoalView {
   constructor(record, { store, oncancel, onagain, onretry, onrerun, onlabel }) {
@@ -35,6 +33,8 @@ export class GoalView {
     this.feedbackTitle = h("h3", {}, "Feedback");
     this.shown = h("div", {});
     this.lineLog = new GoalLog(store);
+    this.checkpoint = h("pre", { tabindex: 0, "aria-label": "Checkpoint" });
+    this.kept = h("div", {}, h("h3", {}, "Checkpoint"), this.checkpoint);
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
@@ -59,6 +59,7 @@ export class GoalView {
       this.bar,
       this.reason,
       h("div", { class: "pair" }, h("div", {}, h("h3", {}, "Goal"), this.goal, this.goalImages), h("div", {}, h("h3", {}, "Result"), this.result, this.resultImages)),
+      this.kept,
       this.feedback,
       this.lineLog.element,
       new Topics(store, record.info).element,
@@ -117,9 +118,20 @@ export class GoalView {
     const isKnown = this.mayUseAgain && record.goal !== undefined;
     show(this.again, isKnown);
     show(this.retry, isKnown && !record.isActive && Boolean(record.info));
-    show(this.rerun, this.mayUseAgain && record.status === "ABORTED" && GIVEN_UP.test(record.reason));
+    this.updateCheckpoint(record);
     this.images.forEach(([of, images]) => images.show(record[of]));
     this.updateFeedback(record);
+  }
+
+  /** Show the checkpoint of a goal that was given up, and let it run again from there. */
+  updateCheckpoint(record) {
+    if (this.mayUseAgain && record.status === "ABORTED") {
+      this.store.askCheckpoint(record);
+    }
+    const isGivenUp = this.mayUseAgain && record.checkpoint !== undefined;
+    show(this.rerun, isGivenUp);
+    show(this.kept, isGivenUp);
+    setText(this.checkpoint, isGivenUp ? (record.checkpoint === null ? "none: it begins anew" : textOf(record.checkpoint)) : "");
   }
 
   /** Show the text that the feedback is, and stay at its end unless the person has scrolled. */

@@ -27,6 +27,11 @@ export class Levers {
     show(this.resume, Boolean(mode));
     show(this.pause, mode !== "drain");
     show(this.drain, mode !== "drain");
+    const fixed = this.info && this.store.fixed.get(this.info.name);
+    for (const lever of [this.pause, this.drain]) {
+      lever.disabled = Boolean(fixed);
+      lever.title = fixed ? `${this.info.name}: ${fixed}.` : "";
+    }
   }
 
   async askPause() {

@@ -60,6 +60,8 @@ export class Store {
     this.silent = undefined; // the server of the page, since then
     this.away = new Map(); // servers of actions behind a bridge, since then
     this.intakes = new Map(); // of actions that are paused, or whose server drains
+    this.fixed = new Map(); // why actions cannot be paused
+    this.schedules = new Map(); // the limits of their servers
     this.servers = []; // if the page is of several
     this.onchange = () => {};
     this.frame = 0;
@@ -119,6 +121,8 @@ export class Store {
       const away = infos.filter((info) => info.away);
       this.away = new Map(away.map(({ name, away: { since, reason } }) => [name, { since: since * 1000, reason }]));
       this.intakes = new Map(infos.filter((info) => info.intake).map(({ name, intake }) => [name, intake]));
+      this.fixed = new Map(infos.filter((info) => info.no_levers).map((info) => [info.name, info.no_levers]));
+      this.schedules = new Map(infos.filter((info) => info.schedule).map(({ name, schedule }) => [name, schedule.text]));
       this.servers = (await this.fetched("servers")) ?? [];
     }
     this.markAway();
@@ -146,14 +150,26 @@ export class Store {
   }
 
   /** Have the server run a goal again that was given up, and return the ID of the new one. */
-  async rerun({ action, id }) {
-    await this.checkIsThere(action, "nothing was sent");
-    const answer = await this.ask(`${this.pathOf({ action, id })}/rerun`, undefined, { method: "POST" });
+  async rerun(record) {
+    await this.checkIsThere(record.action, "nothing was sent");
+    const answer = await this.ask(`${this.pathOf(record)}/rerun`, undefined, { method: "POST" });
     const told = await answer.json();
     if (!answer.ok) {
       throw new Error(told.detail ?? answer.statusText);
     }
+    record.checkpoint = undefined;
     return told.goal_id;
+  }
+
+  /** Ask once whether the server of a goal has given it up, and for its checkpoint then. */
+  async askCheckpoint(record) {
+    if (record.isAskedAbout || this.state !== "ready" || this.awayOf(record.action)) {
+      return;
+    }
+    record.isAskedAbout = true;
+    const told = await this.fetched(this.pathOf(record));
+    record.checkpoint = told?.checkpoint;
+    this.change();
   }
 
   /** Since when the server of the page is away, and why; undefined if it is not. */

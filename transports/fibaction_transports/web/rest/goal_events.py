@@ -9,13 +9,14 @@ browser asks no more.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
 
 from fibaction.border.http_access import Refused
 from fibaction.border.streams import FeedbackItem, GoalStream, GoalUpdate
-from fibaction.schema.payload import JsonCodec
+from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction.words.goals import Outcome
 from fibaction_transports._http.problems import Problem
 from fibaction_transports.web.rest.goal_list import facts_of
@@ -100,6 +101,17 @@ class GoalEvents:
         return outcome.readable(
             lambda result: msgspec.Raw(self.result.to_text(result).encode())
         ).members
+
+    def checkpoint_members(self, checkpoint: bytes | None) -> dict[str, object]:
+        """Return the checkpoint of a goal that was given up, as `GoalStream.checkpoint`, as a
+        member of an object: null if there is none, or none that JSON can express.
+        """
+        if checkpoint is None:
+            return {}
+        text = "null"
+        with suppress(PayloadError):
+            text = self.result.to_text(checkpoint) if checkpoint else text
+        return {"checkpoint": msgspec.Raw(text.encode())}
 
 
 def _json(members: dict[str, object]) -> str:

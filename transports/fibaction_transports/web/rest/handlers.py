@@ -179,15 +179,13 @@ class RestInterface:
         body = msgspec.json.encode(described)
         await exchange.answer_unless_known(body, tag_of(body))
 
-    async def _list_actions(
-        self, exchange: Exchange, _client: SessionClient, _route: Route
-    ) -> None:
-        described = await all_described(self._endpoints.values())
+    async def _list_actions(self, exchange: Exchange, client: SessionClient, _route: Route) -> None:
+        described = await all_described(self._endpoints.values(), client.may_observe)
         await exchange.answer(200, msgspec.json.encode(described))
 
     async def _get_action(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         endpoint = await self._endpoint(client, route, Permission.OBSERVE)
-        [described] = await all_described([endpoint])
+        [described] = await all_described([endpoint], client.may_observe)
         await exchange.answer(200, msgspec.json.encode(described))
 
     async def _tell_statistics(
@@ -315,6 +313,7 @@ class RestInterface:
         wait: float | None,
         status: int,
         *headers: tuple[str, str],
+        checkpoint: bytes | None = None,
     ) -> None:
         """Answer with the state of a goal, after waiting for its end if that is asked for."""
         if wait is None:
@@ -323,14 +322,18 @@ class RestInterface:
             outcome = await wait_for_end(exchange, stream, wait)
         members = facts_of(stream.info)
         if outcome is not None:
-            members |= _events_of(endpoint).outcome_members(outcome)
+            events = _events_of(endpoint)
+            members |= events.outcome_members(outcome) | events.checkpoint_members(checkpoint)
         await exchange.answer(status, msgspec.json.encode(members), *headers)
 
     async def _get_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         wait = exchange.wait_wanted(LONGEST_WAIT)
         endpoint = await self._own_or_observed(client, route)
         with await endpoint.feedback(route.goal_id) as stream:
-            await self._answer_goal(exchange, endpoint, stream, wait, 200)
+            checkpoint = stream.checkpoint
+            if checkpoint is not None and not await client.may_observe(route.action):
+                checkpoint = None
+            await self._answer_goal(exchange, endpoint, stream, wait, 200, checkpoint=checkpoint)
 
     async def _follow_goal(self, exchange: Exchange, client: SessionClient, route: Route) -> None:
         last = exchange.headers.get("last-event-id") or exchange.parameter("after")

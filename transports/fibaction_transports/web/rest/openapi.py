@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from fibaction import __version__
 from fibaction.feeds.statistics import ActionStatistics
 from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
@@ -82,6 +83,10 @@ _SHARED_SCHEMAS: Json = {
                 "Only while the action is paused, or its server drains.",
                 {"mode": _TEXT | {"enum": ["hold", "refuse", "drain"]}, "text": _text("Why.")},
             ),
+            "no_levers": _text("Only if it can be neither paused nor drained from here; why."),
+            "schedule": {
+                "allOf": [{"$ref": SHARED + "ScheduleInfo"}, _object("A phrase.", {"text": _TEXT})]
+            },
             "away": _object(
                 "Only while the server of the action cannot be reached.",
                 {
@@ -103,6 +108,7 @@ _SHARED_SCHEMAS: Json = {
             "reason": _text("Why it was canceled or aborted."),
             "parent": {"$ref": SHARED + "Parent"},
             "worker": _text("The worker of a fleet that has it."),
+            "checkpoint": {"description": "That of a goal which was given up; null if none."},
             "labels": {
                 "type": "object",
                 "description": "The labels that its client has given it.",
@@ -322,6 +328,7 @@ def describe(actions: Iterable[ActionInfo], root: str, *, asks_for_tokens: bool)
             "title": "Actions",
             "version": API_VERSION,
             "description": "Goals that take time: send them, follow them, cancel them.",
+            "x-fibaction": __version__,
         },
         "servers": [{"url": root or "/"}],
         "tags": [{"name": "actions", "description": "The actions of this server."}]
