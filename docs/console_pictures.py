@@ -20,7 +20,7 @@ FOLDER = ROOT / "docs" / "console"
 sys.path.insert(0, str(ROOT))
 
 from tests.browser.conftest import CHROMIUM  # noqa: E402  # the tests are not installed
-from tests.browser.served import ArchiveProcess, RobotProcess  # noqa: E402
+from tests.browser.served import ArchiveProcess, ConsoleProcess, RobotProcess  # noqa: E402
 
 
 def send(page: Page, action: str, fields: dict[str, str]) -> None:
@@ -93,6 +93,36 @@ def take_list(browser: Browser, archive: RobotProcess) -> None:
     page.close()
 
 
+def take_room(browser: Browser, robots: dict[str, RobotProcess]) -> None:
+    """Take the pictures of several servers, of which one has gone: servers, map and numbers."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800}, device_scale_factor=1.25)
+    with ConsoleProcess(*(f"{name}={robot.url}" for name, robot in robots.items())) as console:
+        page.goto(console.address)
+        for name, x, y in (("arm1", "2", "1"), ("arm2", "3.5", "-0.5"), ("arm3", "1", "-1.5")):
+            send(page, f"{name}/arm/drive", {"x m": x, "y m": y})
+            page.locator(".goal .badge.executing").wait_for()
+        page.locator(".goal .badge.succeeded").wait_for()
+        send(page, "arm2/clean", {"room": "hall", "minutes": "2"})
+        robots["arm3"].kill()
+        open_view(page, "Servers")
+        page.locator(".badge.away").wait_for()
+        page.screenshot(path=FOLDER / "servers.png")
+        open_view(page, "Map")
+        page.get_by_role("rowheader", name="arm3/arm/drive").wait_for()
+        page.screenshot(path=FOLDER / "map.png")
+        page.goto(f"{console.url}/#/painter/")
+        page.get_by_text("Numbers", exact=True).click()
+        page.get_by_role("heading", name="Why goals were aborted").wait_for()
+        page.screenshot(path=FOLDER / "numbers.png")
+    page.close()
+
+
+def open_view(page: Page, name: str) -> None:
+    """Open a view that is not about actions."""
+    page.get_by_role("navigation").get_by_role("link", name=name).click()
+    page.get_by_role("heading", name=name, exact=True).wait_for()
+
+
 def main() -> None:
     """Take all pictures, and write them."""
     FOLDER.mkdir(exist_ok=True)
@@ -104,6 +134,8 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         take(browser, robot)
         take_list(browser, archive)
+        arms = {f"arm{number}": stack.enter_context(RobotProcess()) for number in (1, 2, 3)}
+        take_room(browser, {**arms, "painter": archive})
         browser.close()
 
 

@@ -67,6 +67,11 @@ def test_the_servers_are_listed_and_their_actions_are_in_namespaces(
     action(page, "Servers").click()
     expect(line(page, "north")).to_be_visible()
     is_accessible(page)
+    for part in (
+        line(page, "north").get_by_role("rowheader"),
+        line(page, "north").locator(".badge"),
+    ):
+        assert part.evaluate("(one) => one.getBoundingClientRect().height < 40")  # unbroken words
 
 
 def test_a_robot_that_goes_is_away_in_the_list_and_the_others_stay(

@@ -50,9 +50,22 @@ export class ActionList {
     const views = [this.all, ...(servers.length ? [this.servers] : []), ...(isMapped ? [this.map] : [])];
     arrange(this.list, [...views.map(({ element }) => element), ...shownItems]);
     this.names = names;
+    this.reveal(shown.action);
     show(this.note, names.length === 0);
     const none = this.store.isDescribed ? "No action is served." : "Not connected yet.";
     setText(this.note, actions.size ? "No action has this name." : none);
+  }
+
+  /** Scroll the list to the action that is shown from now on, if the list has a part in view only. */
+  reveal(name) {
+    const [link, place] = [this.items.get(name)?.link, this.list.parentElement];
+    if (name !== this.revealed && link?.isConnected) {
+      this.revealed = name;
+      const isInView = link.offsetTop >= place.scrollTop && link.offsetTop + link.offsetHeight <= place.scrollTop + place.clientHeight;
+      if (!isInView && link.offsetParent === place) {
+        place.scrollTop = link.offsetTop - place.clientHeight / 2;
+      }
+    }
   }
 
   /** Return that an action is paused or drains, or else the number of its active goals. */

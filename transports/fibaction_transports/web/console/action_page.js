@@ -4,7 +4,7 @@ import { announce, errorPlace, h, setText, show, tellError } from "./dom.js";
 import { confirmed } from "./dialogs.js";
 import { GoalForm } from "./form.js";
 import { GoalList } from "./goal_list.js";
-import { breakable, counted, linkTo, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
+import { breakable, counted, linkTo, listed, openLink, shortId, stateOf, timeOf } from "./goal_text.js";
 import { GoalView } from "./goal_view.js";
 import { Levers } from "./levers.js";
 import { Numbers } from "./numbers.js";
@@ -91,8 +91,11 @@ export class ActionPage {
     const away = this.namesOf().filter((name) => this.store.awayOf(name));
     show(this.away, away.length > 0);
     if (away.length) {
-      const { since, reason } = this.store.awayOf(away[0]);
-      setText(this.away, `The server of ${away.join(", ")} is away since ${timeOf(since)}, and is tried again. Its goals are shown as they were then.`);
+      const servers = new Map(away.map((name) => [this.store.serversOf([name])[0], this.store.awayOf(name)]));
+      const [[first, { since, reason }]] = servers;
+      const each = [...servers].map(([name, one]) => `${name} since ${timeOf(one.since)}`);
+      const one = `The server of ${first} is away since ${timeOf(since)}, and is tried again. Its goals are shown as they were then.`;
+      setText(this.away, servers.size === 1 ? one : `Away, and tried again: ${listed(each)}. Their goals are shown as they were then.`);
       this.away.title = reason;
     }
   }

@@ -9,6 +9,7 @@
 
 import { comparing } from "./goal_columns.js";
 import { ENDED, GoalRecord } from "./goal_record.js";
+import { listed } from "./goal_text.js";
 
 const TYPING = 200; // milliseconds in which a person types on
 const LEAST_PAUSE = 2000;
@@ -60,7 +61,7 @@ export class FoundGoals {
       const { total, goals, away } = await this.fetched(query);
       if (query === this.query) {
         this.answer = { query, total, keys: goals.map((told) => this.take(told)) };
-        this.text = away.length ? `Not asked, since their servers are away: ${away.join(", ")}.` : "";
+        this.text = away.length ? `Not asked, since it is away: ${listed(this.store.serversOf(away))}.` : "";
       }
     } catch (error) {
       if (query === this.query) {

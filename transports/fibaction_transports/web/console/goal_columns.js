@@ -12,7 +12,7 @@ const STATUSES = ["SENDING", "ACCEPTED", "EXECUTING", "CANCELING", "SUCCEEDED", 
 /** The columns, each with the name of the order by it, if there is one, and its share of the width. */
 const COLUMNS = {
   action: { name: "Action", sort: "", width: 130 },
-  state: { name: "State", sort: "status", width: 165 },
+  state: { name: "State", sort: "status", width: 180 },
   request: { name: "Request", sort: "", width: 190 },
   labels: { name: "Labels", sort: "", width: 140 },
   reason: { name: "Reason", sort: "", width: 170 },

@@ -57,6 +57,8 @@ export function durationOf(seconds) {
   return minutes < 60 ? `${minutes}:${rest} min` : `${(minutes / 60).toFixed(1)} h`;
 }
 
+const MOST_LISTED = 6;
+
 // One for each zone, since it takes longer to make one than to use it.
 const PARTS = { hour: "2-digit", minute: "2-digit", second: "2-digit" };
 const CLOCKS = { local: new Intl.DateTimeFormat([], PARTS), UTC: new Intl.DateTimeFormat([], { ...PARTS, timeZone: "UTC", hourCycle: "h23" }) };
@@ -73,6 +75,12 @@ export function timeOf(stamp) {
 /** Return a number of things with their name. */
 export function counted(number, name) {
   return `${number} ${name}${number === 1 ? "" : "s"}`;
+}
+
+/** Return texts as a list for people, which is cut if it is long. */
+export function listed(texts) {
+  const more = texts.length - MOST_LISTED;
+  return texts.slice(0, MOST_LISTED).join(", ") + (more > 0 ? ` and ${more} more` : "");
 }
 
 /** Return a name that breaks where its parts end, and not within a word. */

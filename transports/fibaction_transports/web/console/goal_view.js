@@ -38,7 +38,7 @@ export class GoalView {
     this.goalImages = h("div", {});
     this.resultImages = h("div", {});
     this.cancel = button("Cancel goal", () => oncancel(this.record), { class: "danger" });
-    this.again = button("Use as new goal", () => onagain(this.record));
+    this.again = button("Use as new goal", () => onagain(this.record), { class: "quiet" });
     this.retry = button("Send again", () => onretry(this.record), { class: "quiet" });
     this.rerun = button("Run again from its checkpoint", () => onrerun(this.record), { class: "quiet" });
     this.compare = button("Compare", () => this.setBasis(this.record.key), { class: "quiet" });
@@ -50,10 +50,10 @@ export class GoalView {
     this.element = h(
       "section",
       { class: "card goal", "aria-label": "Goal" },
-      h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.again, this.cancel),
+      h("header", {}, h("h2", {}, "Goal ", h("code", {}, shortId(record.id))), this.badge, h("span", { class: "space" }), this.cancel),
       this.facts,
       this.labels,
-      h("div", { class: "links" }, this.compare, this.find, this.retry, this.rerun),
+      h("div", { class: "links" }, this.again, this.compare, this.find, this.retry, this.rerun),
       this.comparison.element,
       this.family.element,
       this.bar,

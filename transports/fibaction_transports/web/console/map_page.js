@@ -39,7 +39,7 @@ export class MapPage {
     this.body = h("tbody");
     this.none = h("p", { class: "note" }, "No goal and no topic here has told a position.");
     const head = h("thead", {}, h("tr", {}, ...["Robot", "Position", "State", "Told at"].map((name) => h("th", { scope: "col" }, name))));
-    const table = h("table", { class: "servers" }, h("caption", { class: "hidden-text" }, "Robots"), head, this.body);
+    const table = h("table", { class: "servers cards" }, h("caption", { class: "hidden-text" }, "Robots"), head, this.body);
     const map = h("section", { class: "card", "aria-label": "Map" }, h("div", { class: "tools" }, this.search), this.place, this.none, this.ground.element);
     this.element = h("div", { class: "page" }, h("div", { class: "title" }, h("h1", {}, "Map")), map, h("section", { class: "card", "aria-label": "Robots" }, table, this.topics.element));
   }

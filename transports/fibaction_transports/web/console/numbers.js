@@ -1,7 +1,7 @@
 /** The numbers of actions: rates, ends, reasons of failures, and times of waiting and running. */
 
 import { h, setText, show } from "./dom.js";
-import { counted, durationOf, timeOf } from "./goal_text.js";
+import { breakable, counted, durationOf, listed, timeOf } from "./goal_text.js";
 import { isWithin } from "./scope.js";
 
 const ASK_AGAIN = 10_000;
@@ -60,26 +60,33 @@ export class Numbers {
   }
 
   tell(found, since, missing) {
-    const rows = found.flatMap(([name, { recent, whole }]) => [rowOf(name, "ten minutes", recent), rowOf(name, SPANS[since], whole)]);
+    const busy = found.filter(([name, { recent, whole }]) => name === this.scope || [recent, whole].some(hasGoals));
+    const rows = busy.flatMap(([name, { recent, whole }]) => [rowOf(name, "ten minutes", recent), rowOf(name, SPANS[since], whole)]);
     const heads = ["Action", "In", ...HEADINGS].map((text) => h("th", { scope: "col" }, text));
     const table = h("table", { class: "servers" }, h("caption", { class: "hidden-text" }, "Numbers"), h("thead", {}, h("tr", {}, ...heads)), h("tbody", {}, ...rows));
     const failures = found.flatMap(([name, { whole }]) => whole.failures.map(({ reason, goals }) => h("li", {}, `${counted(goals, "goal")}${found.length > 1 ? ` of ${name}` : ""}: ${reason}`)));
     const list = failures.length ? [h("h3", {}, `Why goals were aborted in ${SPANS[since]}`), h("ul", { class: "failures" }, ...failures)] : [];
-    this.told.replaceChildren(table, ...list);
+    this.told.replaceChildren(...(busy.length ? [table] : []), ...list);
+    const idle = found.length - busy.length;
     const forgetful = found.filter(([, { past }]) => !past).map(([name]) => name);
     const notes = [
-      forgetful.length ? `Without a history, only goals that the server remembers are counted: ${forgetful.join(", ")}.` : "",
-      missing.length ? `Not counted, since their servers cannot be asked: ${missing.join(", ")}.` : "",
+      idle ? `${counted(idle, "action")} without a goal in ${SPANS[since]}.` : "",
+      forgetful.length ? `Without a history, only goals that the server remembers are counted: ${listed(this.store.serversOf(forgetful))}.` : "",
+      missing.length ? `Not counted, since it cannot be asked: ${listed(this.store.serversOf(missing))}.` : "",
     ];
     setText(this.note, notes.filter(Boolean).join(" "));
   }
+}
+
+function hasGoals({ accepted, ended }) {
+  return accepted > 0 || Object.values(ended).some((count) => count > 0);
 }
 
 function rowOf(name, span, { accepted, per_minute: rate, ended, waited, ran }) {
   const { SUCCEEDED, CANCELED, ABORTED } = ended;
   const times = [waited, ran].flatMap((one) => (one ? [lasting(one.p50), lasting(one.p95)] : ["–", "–"]));
   const cells = [span, accepted, Number(rate.toPrecision(3)), SUCCEEDED, CANCELED, ABORTED, ...times];
-  return h("tr", {}, h("th", { scope: "row" }, name), ...cells.map((text) => h("td", {}, String(text))));
+  return h("tr", {}, h("th", { scope: "row" }, breakable(name)), ...cells.map((text) => h("td", {}, String(text))));
 }
 
 function lasting(seconds) {

@@ -9,6 +9,7 @@ import { PlaneZoom, listenToPlane } from "./plane_zoom.js";
 const HEIGHT = 280;
 const LARGE = 520;
 const MARGIN = { left: 58, right: 14, top: 12, bottom: 24 };
+const [LABEL_GAP, LABEL_HEIGHT] = [9, 13]; // pixels
 const PARTS = ["feedback", "goal", "result"];
 const LEAST = { plane: 1, map: 2e-4 }; // what is shown of the axes at least
 const METERS = 111_320; // of one degree of latitude
@@ -121,7 +122,8 @@ export class Plane {
     if (this.axes === "map") {
       drawScale(pen, area, style, width);
     }
-    this.clip(pen, area, () => layers.forEach((layer) => drawLayer(pen, layer, area, style)));
+    const labels = [];
+    this.clip(pen, area, () => layers.forEach((layer) => drawLayer(pen, layer, area, style, labels)));
   }
 
   /** Draw within the axes. */
@@ -213,7 +215,24 @@ function drawScale(pen, { scaleY }, style, width) {
   pen.fillText(meters >= 1000 ? `${meters / 1000} km` : `${shortNumber(meters)} m`, right, y - 4);
 }
 
-function drawLayer(pen, { points, place, part, label, color }, { at }, style) {
+/**
+ * Return a place for a label: right of a point, or left of it at the edge, and below the labels that
+ * were drawn there before.
+ */
+export function placeOfLabel(pen, label, [x, y], { size }, labels) {
+  const { width } = pen.measureText(label);
+  const left = x + LABEL_GAP + width > MARGIN.left + size[0] ? x - LABEL_GAP - width : x + LABEL_GAP;
+  let top = y - 7;
+  const isFree = () => labels.every((one) => Math.abs(one.top - top) >= LABEL_HEIGHT || left >= one.left + one.width || one.left >= left + width);
+  while (!isFree()) {
+    top += LABEL_HEIGHT;
+  }
+  labels.push({ left, top, width });
+  return [left, top];
+}
+
+function drawLayer(pen, { points, place, part, label, color }, area, style, labels) {
+  const { at } = area;
   pen.strokeStyle = pen.fillStyle = style.getPropertyValue(color);
   pen.lineWidth = 1.8;
   pen.lineJoin = "round";
@@ -225,10 +244,9 @@ function drawLayer(pen, { points, place, part, label, color }, { at }, style) {
     drawMarker(pen, at(x, y), place.isPath ? undefined : heading, part === "goal");
   }
   if (label) {
-    const [x, y] = at(...points[points.length - 1]);
     pen.fillStyle = style.getPropertyValue("--text");
     pen.textAlign = "left";
-    pen.fillText(label, x + 9, y - 7);
+    pen.fillText(label, ...placeOfLabel(pen, label, at(...points[points.length - 1]), area, labels));
   }
 }
 

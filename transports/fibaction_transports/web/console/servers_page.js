@@ -22,7 +22,7 @@ class Row {
 function tableOf(caption, names) {
   const body = h("tbody");
   const head = h("thead", {}, h("tr", {}, ...names.map((name) => h("th", { scope: "col" }, name))));
-  return [h("table", { class: "servers" }, h("caption", { class: "hidden-text" }, caption), head, body), body];
+  return [h("table", { class: "servers cards" }, h("caption", { class: "hidden-text" }, caption), head, body), body];
 }
 
 export class ServersPage {

@@ -182,6 +182,12 @@ export class Store {
     return this.ownAway ?? this.away.get(action);
   }
 
+  /** Return the servers of some actions, or the actions themselves if the page is of one server. */
+  serversOf(names) {
+    const serverOf = (name) => this.servers.find((one) => one.name && isWithin(name, `${one.name}/`))?.name ?? name;
+    return [...new Set(names.map(serverOf))];
+  }
+
   /** Note of active goals since when nothing is known of them. */
   markAway() {
     for (const record of this.goals.values()) {
