@@ -91,7 +91,7 @@ export class ActionPage {
     const away = this.namesOf().filter((name) => this.store.awayOf(name));
     show(this.away, away.length > 0);
     if (away.length) {
-      const servers = new Map(away.map((name) => [this.store.serversOf([name])[0], this.store.awayOf(name)]));
+      const servers = new Map(this.store.serversOf(away).map((name) => [name, this.store.awayOf(away.find((one) => isWithin(one, name) || isWithin(one, `${name}/`)))]));
       const [[first, { since, reason }]] = servers;
       const each = [...servers].map(([name, one]) => `${name} since ${timeOf(one.since)}`);
       const one = `The server of ${first} is away since ${timeOf(since)}, and is tried again. Its goals are shown as they were then.`;

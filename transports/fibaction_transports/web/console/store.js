@@ -182,9 +182,11 @@ export class Store {
     return this.ownAway ?? this.away.get(action);
   }
 
-  /** Return the servers of some actions, or the actions themselves if the page is of one server. */
+  /** Return some actions by their names, and servers in place of all actions that they have. */
   serversOf(names) {
-    const serverOf = (name) => this.servers.find((one) => one.name && isWithin(name, `${one.name}/`))?.name ?? name;
+    const known = new Set(names);
+    const whole = this.servers.filter(({ name, actions }) => name && actions.length && actions.every((one) => known.has(one)));
+    const serverOf = (name) => whole.find(({ actions }) => actions.includes(name))?.name ?? name;
     return [...new Set(names.map(serverOf))];
   }
 
