@@ -77,8 +77,9 @@ class HttpAnswer:
         self.has_begun = False
         self.is_complete = False
         """True if the answer has its end."""
-        names = {name for name, _ in request.headers}
-        asked = {value.lower() for name, value in request.headers if name == b"connection"}
+        headers = list(request.headers)
+        names = {name for name, _ in headers}
+        asked = [value.lower() for name, value in headers if name == b"connection"]
         self._is_old = request.http_version < b"1.1"
         # Another server on the way may have seen another end of the body of a request that tells
         # two, and so another request behind it (RFC 9112, 6.1). One that offers another protocol
