@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import h11
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction_transports._http.http_exchange import HttpAnswer
+from fibaction_transports._http.http_exchange import HttpAnswer, HttpExchange
+
+
+class Arriving:
+    """A stream from which the body of a request arrives."""
+
+    async def receive(self, size: int) -> bytes:
+        return b"ab"
+
 
 ASKED = [(b"host", b"here")]
 
@@ -121,3 +131,23 @@ def test_a_body_of_another_length_than_told_is_an_error(body: bytes, wrong_by: i
     with pytest.raises(ValueError, match=f"the length of the answer is wrong by {wrong_by} bytes"):
         answer.piece(body, has_more=False)
     assert not answer.is_complete
+
+
+@pytest.mark.anyio
+async def test_a_client_that_waits_to_be_asked_for_its_body_is_not_asked_within_an_answer() -> None:
+    http = h11.Connection(h11.SERVER)
+    http.receive_data(b"POST / HTTP/1.1\r\nhost: h\r\nexpect: 100-continue\r\n")
+    http.receive_data(b"content-length: 2\r\n\r\n")
+    request = http.next_event()
+    assert isinstance(request, h11.Request)
+    sent = list[bytes]()
+
+    async def send(data: bytes) -> None:
+        sent.append(data)
+
+    exchange = HttpExchange(http, cast("Any", Arriving()), send, request, "", "http", "")
+    await exchange.send({"type": "http.response.start", "status": 200, "headers": []})
+    await exchange.send({"type": "http.response.body", "body": b"some", "more_body": True})
+    assert (await exchange.receive())["body"] == b"ab"
+    assert len(sent) == 1
+    assert b" 100 " not in sent[0]
