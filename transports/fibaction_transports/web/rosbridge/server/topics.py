@@ -26,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from itertools import count
-from typing import TypeAlias
 
 import anyio
 import msgspec
@@ -67,9 +66,6 @@ MOST_SUBSCRIPTIONS = 100
 """Subscriptions of one connection."""
 RETRY_AFTER = 1.0
 """Seconds after which a server is asked again whose statuses have ended."""
-
-TopicNews: TypeAlias = Watching | GoalChanged | Finished | Done | Feedback | Ended | Failed
-"""A frame of the session that is about topics."""
 
 
 class _Request(msgspec.Struct):
