@@ -360,7 +360,7 @@ class Node(RosTransport):
             self._ros.remove(part)
 
 
-def _service_type(given: str | Service[Any, Any]) -> str:
+def _service_type(given: object) -> str:
     if isinstance(given, Service):
         return given.type_name
     if isinstance(given, str):
