@@ -31,6 +31,8 @@ OTHERS = 300.0
 collect_ignore_glob = ["*"] if MISSING else [] if has_ipv6() else ["test_ipv6.py"]
 if "FIBACTION_ZENOH_PEER" not in os.environ:
     collect_ignore_glob.append("test_zenoh_peer.py")
+if "FIBACTION_RCLCPP_PEER" not in os.environ:
+    collect_ignore_glob.append("test_rclcpp.py")
 
 
 if MISSING:

@@ -10,10 +10,14 @@ import uuid
 from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
+from std_msgs.msg import String
+from test_msgs.srv import BasicTypes
 
 from tests.cli.conftest import Terminal
+from tests.ros2.spun import spun_node
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("fibaction")
@@ -51,6 +55,48 @@ def fibaction(*arguments: str, code: int) -> list[str]:
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout.splitlines()
+
+
+@pytest.fixture(params=["ros2://", "dds://"])
+def at(request: pytest.FixtureRequest) -> tuple[str, str]:
+    """The option of a way to a stock node."""
+    return "-u", request.param
+
+
+@pytest.mark.timeout(4 * PATIENCE)  # nine commands, each of which imports ROS
+def test_topics_services_and_parameters_of_a_stock_node_are_read_and_set(
+    at: tuple[str, str],
+) -> None:
+    def answer(request: Any, response: Any) -> Any:
+        response.string_value = request.string_value.upper()
+        return response
+
+    def heard(message: Any) -> None:
+        texts.append(message.data)
+
+    texts: list[str] = []
+    space = f"/t{uuid.uuid4().hex}"
+    with spun_node(space, "stock") as stock:
+        talk = stock.create_publisher(String, "chatter", 10)
+        stock.create_timer(0.1, lambda: talk.publish(String(data="hello")))
+        stock.create_subscription(String, "heard", heard, 10)
+        stock.create_service(BasicTypes, "shout", answer)
+        stock.declare_parameter("speed", 0.5)
+        assert f"{space}/chatter" in fibaction("topic", "list", *at, code=0)
+        once = fibaction("topic", "echo", f"{space}/chatter", "--once", *at, code=0)
+        assert once == ["data: hello", "---"]
+        info = fibaction("topic", "info", f"{space}/chatter", "-v", *at, code=0)
+        assert {"Node name: stock", f"Node namespace: {space}", "  Deadline: Infinite"} <= {*info}
+        to_it = f"{space}/heard", "std_msgs/msg/String", "data: now", "--once"
+        fibaction("topic", "pub", *to_it, *at, code=0)
+        called = f"{space}/shout", "test_msgs/srv/BasicTypes", "string_value: a"
+        assert "string_value: A" in fibaction("service", "call", *called, *at, code=0)
+        node = f"{space}/stock"
+        assert "  speed" in fibaction("param", "list", node, *at, code=0)
+        fibaction("param", "set", node, "speed", "1.5", *at, code=0)
+        told = fibaction("param", "get", node, "speed", *at, code=0)
+        assert told == ["Double value is: 1.5"]
+    assert texts == ["now"]
 
 
 def events(lines: list[str]) -> list[dict[str, object]]:
