@@ -312,3 +312,10 @@ async def test_nothing_is_begun_at_a_node_that_was_closed() -> None:
         pass
     with pytest.raises(ConnectionLost, match="the node was closed here"):
         node.subscribe("chatter", STRING)
+
+
+async def test_a_list_that_is_empty_by_default_has_the_value_of_the_arguments(scheme: str) -> None:
+    words = ["--ros-args", "-p", "names:=[a, b]"]
+    with anyio.fail_after(PATIENCE):
+        async with open_node(f"{scheme}://ours", arguments=words) as node:
+            assert node.parameters().declare("names", []) == ["a", "b"]

@@ -49,6 +49,13 @@ def test_a_difference_is_told_as_both_sides_have_it(
         assert qos.advice(offered, wanted) == (advice or "an EndQos that wants no more")
 
 
+@pytest.mark.parametrize("policy", ["deadline", "lease", "lifespan"])
+def test_a_duration_that_is_not_positive_is_refused(policy: str) -> None:
+    given: dict[str, Any] = {policy: 0.0}
+    with pytest.raises(ValueError, match=rf"qos: {policy} must be positive, not 0\.0"):
+        qos.of_topic(EndQos(**given))
+
+
 class Graph:
     """A node that sees one server, whose services want a deadline."""
 
