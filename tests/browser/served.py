@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Self
 
 from tests.support.ports import free_port
+from tests.support.processes import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = 30.0
-"""Seconds within which a process serves, or ends."""
 
 
 class RobotProcess:

@@ -19,10 +19,9 @@ from fibaction_transports.ros2.on_rclpy.ends import profile_of
 from fibaction_transports.ros2.on_rclpy.rcl import GoalInfoMessage, uuid_of
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 Items = AsyncGenerator[Feedback | Result, None]
-PATIENCE = 30.0
-"""Seconds after which a test that hangs fails."""
 
 
 def new_url() -> str:

@@ -13,9 +13,7 @@ from rclpy.executors import ExternalShutdownException
 
 from fibaction_transports.ros2 import Node, open_node
 from fibaction_transports.ros2.on_rclpy.rcl import Context, SingleThreadedExecutor, rclpy
-
-PATIENCE = 30.0
-"""Seconds for all that a test does between the two."""
+from tests.support.processes import PATIENCE
 
 
 @contextmanager

@@ -40,17 +40,9 @@ from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import Responses
 from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import (
-    PATIENCE,
-    Items,
-    Undecoded,
-    both_ends,
-    client_of,
-    forever,
-    new_url,
-    node_of,
-)
+from tests.ros2.ends import Items, Undecoded, both_ends, client_of, forever, new_url, node_of
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

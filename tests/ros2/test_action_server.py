@@ -41,7 +41,6 @@ from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import (
-    PATIENCE,
     Items,
     Undecoded,
     both_ends,
@@ -53,6 +52,7 @@ from tests.ros2.ends import (
     send,
 )
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

@@ -19,10 +19,10 @@ from std_msgs.msg import Float32MultiArray, String
 from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2 import EndQos, open_node
 from tests.ros2.spun import beside_rclpy, until
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
-PATIENCE = 30.0
 STRING, LIST = "std_msgs/msg/String", "rcl_interfaces/srv/ListParameters"
 
 

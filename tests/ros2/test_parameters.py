@@ -17,10 +17,11 @@ from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.settings import NodeSettings
-from tests.ros2.ends import PATIENCE, new_url
+from tests.ros2.ends import new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

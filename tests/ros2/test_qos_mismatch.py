@@ -15,9 +15,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from fibaction import ActionServer, ServerNotFound, connect, serve
 from fibaction_transports.ros2.client.mismatches import explain_mismatch
 from fibaction_transports.ros2.settings import RosSettings
-from tests.ros2.ends import PATIENCE, client_of, new_url
+from tests.ros2.ends import client_of, new_url
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

@@ -21,9 +21,10 @@ from fibaction_transports.ros2.node.rivals import Rivals
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import PATIENCE, Items, Undecoded, client_of, new_url, tells_publishers
+from tests.ros2.ends import Items, Undecoded, client_of, new_url, tells_publishers
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

@@ -28,9 +28,9 @@ from fibaction.border.urls import transport_for
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import Ros2Transport, on_rclpy
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import PATIENCE
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

@@ -17,7 +17,8 @@ from fibaction.types.action import Codec
 from fibaction_transports import ros2
 from fibaction_transports.ros2 import message_structs
 from fibaction_transports.ros2.message_structs import message_classes
-from tests.ros2.ends import PATIENCE, new_url
+from tests.ros2.ends import new_url
+from tests.support.processes import PATIENCE
 
 numpy: Any = import_module("numpy")
 geometry: Any = import_module("geometry_msgs.msg")

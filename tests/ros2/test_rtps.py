@@ -36,7 +36,6 @@ from tests.support.rtps_end import TEXT, RtpsEnd, rtps_end, text, text_of
 
 pytestmark = pytest.mark.anyio
 
-PATIENCE = 30.0
 LITTLE = b"\x00\x01\x00\x00"
 ACTION = "arduinobot_msgs::action::dds_::Fibonacci_"
 UNKNOWN = -(2**32)

@@ -23,10 +23,11 @@ from fibaction_transports.ros2.node.stamps import (
     ServedStamps,
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_node import NodeClock
-from tests.ros2.ends import PATIENCE, forever, new_url
+from tests.ros2.ends import forever, new_url
 from tests.ros2.spun import spun_node
 from tests.ros2.stock.waiting import eventually
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

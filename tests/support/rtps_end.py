@@ -16,9 +16,9 @@ from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.network import ParticipantNetwork, open_network
 from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Qos
+from tests.support.processes import PATIENCE
 
 E = TypeVar("E")
-PATIENCE = 30.0
 TEXT = "std_msgs::msg::dds_::String_"
 
 

@@ -18,8 +18,6 @@ from fibaction import (
 )
 from fibaction_transports.inprocess import InProcessTransport
 
-PATIENCE = 30.0
-
 
 class Drive(msgspec.Struct):
     """Drive straight on."""

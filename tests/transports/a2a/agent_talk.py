@@ -35,7 +35,8 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.a2a import A2aHttpTransport
-from tests.transports.driving_robot import PATIENCE, DrivingRobot
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import DrivingRobot
 
 TOKEN = "tW4x9c-tW4x9c"
 GOOD = {"Authorization": f"Bearer {TOKEN}"}

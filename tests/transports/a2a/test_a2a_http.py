@@ -20,6 +20,7 @@ from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.a2a.a2a_http_transport import CARD_PATH
 from tests.support.certificates import pems
 from tests.support.loop_times import LoopTimes
+from tests.support.processes import PATIENCE
 from tests.transports.a2a.agent_talk import (
     GOOD,
     TOKEN,
@@ -29,7 +30,6 @@ from tests.transports.a2a.agent_talk import (
     talking,
     told,
 )
-from tests.transports.driving_robot import PATIENCE
 
 pytestmark = pytest.mark.asyncio
 VERSION = {"A2A-Version": "1.0"}

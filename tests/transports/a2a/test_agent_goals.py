@@ -18,8 +18,9 @@ from fibaction.words.errors import ConnectionLost, LimitReached
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction_transports._agents import agent_goals
 from fibaction_transports.a2a import A2aHttpTransport
+from tests.support.processes import PATIENCE
 from tests.transports.a2a.agent_talk import TOKEN, Robot, Talk, data_of, state_of, talking, told
-from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
+from tests.transports.driving_robot import DRIVE, Drive
 
 pytestmark = pytest.mark.asyncio
 

@@ -33,6 +33,7 @@ from google.protobuf.json_format import MessageToDict
 from fibaction import Action, ActionClient, GoalID, serve
 from fibaction.testing import ScriptedServer
 from fibaction_transports.a2a import A2aHttpTransport
+from tests.support.processes import PATIENCE
 from tests.transports.a2a.agent_talk import (
     TOKEN,
     Robot,
@@ -44,7 +45,7 @@ from tests.transports.a2a.agent_talk import (
     text_of,
     told,
 )
-from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
+from tests.transports.driving_robot import DRIVE, Drive
 
 pytestmark = pytest.mark.asyncio
 

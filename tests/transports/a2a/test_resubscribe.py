@@ -10,8 +10,8 @@ from a2a.client.errors import A2AClientError
 from a2a.types import StreamResponse
 from a2a.utils.errors import InvalidParamsError, UnsupportedOperationError
 
+from tests.support.processes import PATIENCE
 from tests.transports.a2a.agent_talk import Talk, robot_and_talk, talking, told
-from tests.transports.driving_robot import PATIENCE
 from tests.transports.proxy import Line, line_to
 
 pytestmark = pytest.mark.asyncio

@@ -25,7 +25,8 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.mcp import AgentPolicy, McpBridge
-from tests.transports.driving_robot import DRIVE, PATIENCE, Arrived, Drive, Driven, DrivingRobot
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import DRIVE, Arrived, Drive, Driven, DrivingRobot
 
 Mode = Literal["legacy", "auto"]
 MODES: tuple[Mode, ...] = ("legacy", "auto")

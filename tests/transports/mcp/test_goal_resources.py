@@ -13,7 +13,7 @@ from mcp_types import TextResourceContents
 from mcp_types.jsonrpc import INVALID_PARAMS
 
 from fibaction_transports.mcp import answers, tool_server
-from tests.transports.driving_robot import PATIENCE
+from tests.support.processes import PATIENCE
 from tests.transports.mcp.robot import MODES, UNASKED, Mode, Talk, robot_and_talk, sent_by_others
 
 pytestmark = pytest.mark.asyncio

@@ -26,7 +26,8 @@ from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
 from tests.support.ports import free_port
-from tests.transports.driving_robot import PATIENCE, Drive
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import UNASKED, Robot, sent_by_others, text_of
 from tests.transports.mcp.task_client import Tasks, answer, ask, members_of, start, until
 

@@ -16,7 +16,7 @@ from fibaction import Action, ActionServer, GoalHandle, serve
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import McpBridge, answers
 from fibaction_transports.mcp.answers import Images
-from tests.transports.driving_robot import PATIENCE
+from tests.support.processes import PATIENCE
 from tests.transports.mcp.robot import UNASKED
 
 PNG = b"\x89PNG\r\n\x1a\n and so on"

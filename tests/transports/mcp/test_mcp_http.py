@@ -24,7 +24,8 @@ from fibaction_transports.mcp import McpHttpTransport
 from fibaction_transports.mcp.goal_tasks import EXTENSION
 from tests.support.certificates import pems
 from tests.support.loop_times import LoopTimes
-from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import DRIVE, Drive
 from tests.transports.mcp.robot import MODES, YES, Mode, Robot, Rounds, Talk
 
 pytestmark = pytest.mark.asyncio

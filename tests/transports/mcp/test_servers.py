@@ -33,7 +33,8 @@ from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.answers import goal_answer, overview
 from tests.cli.served import Served, counter
-from tests.transports.driving_robot import DRIVE, PATIENCE, Drive
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import DRIVE, Drive
 from tests.transports.mcp.robot import (
     MODES,
     UNASKED,

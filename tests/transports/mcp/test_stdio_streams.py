@@ -16,7 +16,7 @@ import pytest
 from fibaction import InvalidURL, TransportError, serve
 from fibaction.border.urls import transport_for
 from fibaction_transports.mcp import McpBridge, McpStdioTransport, mcp_transport
-from tests.transports.driving_robot import PATIENCE
+from tests.support.processes import PATIENCE
 from tests.transports.mcp.robot import UNASKED, Robot
 
 pytestmark = pytest.mark.asyncio

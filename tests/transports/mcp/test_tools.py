@@ -12,7 +12,8 @@ from fibaction import Action, GoalStatus, serve
 from fibaction.testing import ScriptedServer
 from fibaction_transports.mcp import AgentPolicy, McpBridge, answers
 from tests.support.ports import free_port
-from tests.transports.driving_robot import PATIENCE, Drive
+from tests.support.processes import PATIENCE
+from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
     MODES,
     UNASKED,

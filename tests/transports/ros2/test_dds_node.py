@@ -41,10 +41,10 @@ from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
-PATIENCE = 30.0
 KEPT = EndQos(durability="transient_local", depth=5)
 
 

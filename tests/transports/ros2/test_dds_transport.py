@@ -31,11 +31,11 @@ from fibaction_transports.ros2.ros_transport import RosTransport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.article import Numbers, Progress, article
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
 ROOT = Path(__file__).parents[3]
-PATIENCE = 30.0
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,7 @@ from fibaction_transports.ros2.without_ros.descriptions.description_messages imp
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.rtps.events import TypesAnswered
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
+from tests.support.processes import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -51,7 +52,6 @@ IDS = (
     bytes.fromhex("f2488c3bf2b4754697c339267067f7"),
 )
 TOPIC = "/far/_action/feedback"
-PATIENCE = 30.0
 
 
 @pytest.fixture(autouse=True)

@@ -43,10 +43,10 @@ from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.ros2.without_ros.messages import file_types
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
-PATIENCE = 30.0
 STRING, BOOL = "std_msgs/msg/String", "std_srvs/srv/SetBool"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"

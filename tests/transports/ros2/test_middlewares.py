@@ -22,10 +22,10 @@ from fibaction_transports.ros2.on_zenoh.node import NO_NODES, NO_ROUTER
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.ports import free_port
+from tests.support.processes import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
-PATIENCE = 30.0
 NAMED = "RMW_IMPLEMENTATION is rmw_zenoh_cpp, whose nodes are not in DDS: use zenoh://"
 QUIET = "discovery_timeout=0.1"
 

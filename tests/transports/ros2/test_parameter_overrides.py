@@ -17,8 +17,7 @@ from fibaction_transports.ros2.without_ros.ros_arguments import (
     read_parameters_file,
 )
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-
-PATIENCE = 30.0
+from tests.support.processes import PATIENCE
 
 
 @pytest.fixture

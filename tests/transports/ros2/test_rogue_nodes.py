@@ -18,10 +18,10 @@ from fibaction_transports.ros2.names import action_names, count_topic
 from fibaction_transports.ros2.ros_transport import RosTransport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
-PATIENCE = 30.0
 TYPE = FIBONACCI.type_name
 
 

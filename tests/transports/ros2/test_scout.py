@@ -12,11 +12,10 @@ from fibaction import ActionServer, TransportError, connect, serve
 from fibaction_transports.ros2.on_dds.graph import open_scout
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, fibonacci
+from tests.support.processes import PATIENCE
 from tests.transports.ros2.test_dds_node import until
 
 pytestmark = pytest.mark.anyio
-
-PATIENCE = 30.0
 
 
 def domain() -> int:

@@ -40,10 +40,10 @@ from fibaction_transports.ros2.without_ros.messages.action_types import CANCEL_G
 from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER, Parameter
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.support.processes import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
-PATIENCE = 30.0
 WORDS = bytes(16) + b"\x10" + bytes(16)
 SHORT, LONG = EndQos(depth=10), EndQos(depth=1000)
 WEAK = EndQos(reliability="best_effort")

@@ -42,11 +42,10 @@ from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and t
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ports import free_port
+from tests.support.processes import PATIENCE
 from tests.support.zenoh_router import start_router
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
-
-PATIENCE = 30.0
 
 
 def new_url() -> str:

@@ -13,10 +13,8 @@ import h11
 from anyio.abc import SocketStream
 
 from fibaction.border.http_access import headers_in
+from tests.support.processes import PATIENCE
 from tests.transports.hearing import port_of
-
-PATIENCE = 30.0
-"""Seconds for an answer."""
 
 
 class Answer(NamedTuple):

@@ -17,12 +17,10 @@ from wsproto.events import BytesMessage, CloseConnection, Event, Message, Ping, 
 from fibaction import serve
 from fibaction.border.abc import Endpoint
 from fibaction_transports.web import HttpTransport, WebTransport
+from tests.support.processes import PATIENCE
 from tests.transports.hearing import port_of
 from tests.transports.web.test_web_transport import Call
 from tests.transports.web.upgrade import upgrade
-
-PATIENCE = 30.0
-"""Seconds for a message."""
 
 
 class RosbridgeClient(ABC):

@@ -29,11 +29,10 @@ from wsproto.events import (
 from wsproto.utilities import LocalProtocolError
 
 from fibaction._runtime.notify import Notifier
+from tests.support.processes import PATIENCE
 from tests.transports.proxy import BROKEN
 
 BROKEN_OR_ENDED: tuple[type[Exception], ...] = (*BROKEN, anyio.EndOfStream)
-PATIENCE = 30.0
-"""Seconds for a message."""
 REJECTED = "Action goal was rejected"
 NO_SERVER = "No action server available"
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
