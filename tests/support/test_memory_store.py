@@ -78,19 +78,6 @@ async def test_a_write_is_answered_in_a_later_turn_and_in_order(answers: Answers
         assert answers.got == [("first", None), ("second", None)]
 
 
-async def test_what_was_kept_is_claimed_by_the_next_server(answers: Answers) -> None:
-    store, one, two, three = MemoryStore(), goal(1), goal(2), goal(3)
-    async with opened(store) as (journal, _):
-        for each in (three, two, one):
-            journal.accept(each, answers.to("accept"))
-        journal.end(ended(two), answers.to("end"))
-        await turns()
-    async with opened(store) as (_, claimed):
-        assert [each.stamp for each in claimed] == [2, 1, 3]
-        assert claimed[0].result == b"result"
-        assert claimed[0].goal == b"goal", "as the end says it"
-
-
 async def test_only_what_a_method_is_about_is_kept(answers: Answers) -> None:
     store, one = MemoryStore(), goal()
     async with opened(store) as (journal, _):
@@ -182,30 +169,15 @@ async def test_what_is_kept_is_told(answers: Answers) -> None:
     store, one, kept = MemoryStore(), goal(), list[str]()
     store.on_kept = lambda what, goal: kept.append(f"{what} {goal.stamp}")
     store.on_claim = lambda goal: kept.append(f"claim {goal.stamp}")
+    store.on_forget = lambda goal: kept.append(f"forget {goal.stamp}")
     async with opened(store) as (journal, _):
         journal.accept(one, answers.to("accept"))
         journal.end(ended(one), answers.to("end"))
         await turns()
     async with opened(store):
         assert kept == ["accept 1", "end 1", "claim 1"]
-
-
-async def test_old_outcomes_are_forgotten(answers: Answers) -> None:
-    now = [10 * SECOND]
-    store = MemoryStore(clock=lambda: now[0])
-    forgotten: list[int] = []
-    store.on_forget = lambda goal: forgotten.append(goal.stamp)
-    async with opened(store, max_results=2) as (journal, _):
-        for number in (1, 2, 3):
-            journal.accept(goal(number), answers.to("accept"))
-            keep_until = 11 * SECOND if number == 2 else 0
-            journal.end(ended(goal(number), keep_until=keep_until), answers.to("end"))
-        await turns()
-        assert [kept.stamp for kept in store.goals.values()] == [2, 3]
-    now[0] = 11 * SECOND
-    async with opened(store) as (_, claimed):
-        assert [each.stamp for each in claimed] == [3]
-    assert forgotten == [1, 2]
+    async with opened(store, max_results=0):
+        assert kept[3:] == ["forget 1"]
 
 
 @pytest.mark.parametrize("wrong", ["begin", "end", "accept"])
