@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 
 def part_of(page: str, name: str, maker: str) -> str:
     """Return the text in the part of that name, which `maker` makes.
@@ -20,6 +22,14 @@ def with_part(page: str, name: str, maker: str, text: str) -> str:
     """
     before, _, after = _split(page, name, maker)
     return f"{before}\n\n{text}\n\n{after}"
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table. Numbers are aligned to the right, to be compared: all columns but the first,
+    if each of them has a heading.
+    """
+    lines = [head, ["---"] + ["---:" if all(head[1:]) else "---"] * (len(head) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _split(page: str, name: str, maker: str) -> tuple[str, str, str]:

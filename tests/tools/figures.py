@@ -5,11 +5,10 @@ pictures again from the reports in docs/figures, which `make soak` and `make mut
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.support.page_parts import with_part
+from tests.support.page_parts import markdown_table, with_part
 from tests.tools.curves import Curve, Panel, curves
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,7 +113,7 @@ def _soak(report: dict[str, Any]) -> str:
     return "\n\n".join(
         (
             f"![What server and clients use over the time, {SOAKS[name]}](figures/{name}.svg)",
-            _table(head, rows),
+            markdown_table(head, rows),
             made,
         )
     )
@@ -139,7 +138,7 @@ def _corpus() -> str:
     for folder in sorted(one for one in CORPUS.iterdir() if one.is_dir()):
         sizes = [path.stat().st_size for path in folder.iterdir()]
         rows.append([f"`tests.fuzz.{folder.name}`", f"{len(sizes)}", f"{sum(sizes):,}"])
-    return _table(["Target", "Inputs", "Bytes"], rows)
+    return markdown_table(["Target", "Inputs", "Bytes"], rows)
 
 
 def _mutants(report: dict[str, Any]) -> str:
@@ -147,12 +146,7 @@ def _mutants(report: dict[str, Any]) -> str:
         [f"`{name}`", *(f"{one[what]:,}" for what in ("mutants", "found"))]
         for name, one in report["modules"].items()
     ]
-    return _table(["Module", "Faults tried", "Found by a test"], rows)
-
-
-def _table(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [heading, ["---"] + ["---:"] * (len(heading) - 1), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown_table(["Module", "Faults tried", "Found by a test"], rows)
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ from tests.hostile.meter import Reading
 from tests.hostile.raw_client import Raw, Target
 from tests.hostile.victim import Settings
 from tests.support.fibonacci import FIBONACCI, Goal
+from tests.support.page_parts import markdown_table
 from tests.tools.benchmarks.pages import run
 
 GOALS = 10_000
@@ -174,20 +175,14 @@ async def costs(goals: int) -> dict[str, Cost]:
     return found
 
 
-def table(found: dict[str, Cost], goals: int) -> str:
-    """Return the costs as a table for the page."""
-    lines = [
-        f"| One message, with {goals:,} active goals | Microseconds | Bytes held |",
-        "| --- | ---: | ---: |",
-    ]
-    for name, cost in found.items():
-        lines.append(f"| {name} | {cost.microseconds:,.0f} | {cost.held:,.0f} |")
-    return "\n".join(lines)
-
-
 async def measure(goals: int) -> str:
     """Return the table for the page."""
-    return table(await costs(goals), goals)
+    head = [f"One message, with {goals:,} active goals", "Microseconds", "Bytes held"]
+    rows = [
+        [kind, f"{one.microseconds:,.0f}", f"{one.held:,.0f}"]
+        for kind, one in (await costs(goals)).items()
+    ]
+    return markdown_table(head, rows)
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ import anyio
 
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, Report, action, connect, serve
 from fibaction.types.action import GoalT
+from tests.support.page_parts import markdown_table
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 from tests.tools.benchmarks.pages import run
 
@@ -104,13 +105,14 @@ async def ratios(where: str, rounds: int) -> dict[str, list[float]]:
 
 async def measure(rounds: int) -> str:
     """Return the table for the page."""
-    lines = ["| A function, as a part of a generator | Median | Rounds between |"]
-    lines.append("| --- | ---: | ---: |")
+    rows: list[list[str]] = []
     for name, where in ADDRESSES.items():
         for kind, of_rounds in (await ratios(where, rounds)).items():
-            low, high = min(of_rounds), max(of_rounds)
-            lines.append(f"| {name}, {kind} | {median(of_rounds):.2f} | {low:.2f} and {high:.2f} |")
-    return "\n".join(lines)
+            between = f"{min(of_rounds):.2f} and {max(of_rounds):.2f}"
+            rows.append([f"{name}, {kind}", f"{median(of_rounds):.2f}", between])
+    return markdown_table(
+        ["A function, as a part of a generator", "Median", "Rounds between"], rows
+    )
 
 
 def main() -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from typing import Any
 
 import anyio
 
 from tests.support.json_program import ROOT
-from tests.support.page_parts import with_part
+from tests.support.page_parts import markdown_table, with_part
 
 PAGE = ROOT / "docs" / "comparisons.md"
 NOTHING = "–"  # noqa: RUF001  # the dash that tables show for a missing number
@@ -72,7 +72,7 @@ def machine(report: dict[str, Any]) -> str:
         ["Load when it began", f"{on['load_at_start']:g}"],
         ["Versions", ", ".join(f"{name} {what}" for name, what in report["versions"].items())],
     ]
-    lines = [_table(["", ""], rows)]
+    lines = [markdown_table(["", ""], rows)]
     lines += [f"Left out is {label}: {reason}." for label, reason in report["left_out"].items()]
     return "\n\n".join(lines)
 
@@ -94,12 +94,6 @@ def losses(reports: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines) or "In none of the ratios."
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    # Numbers are aligned to the right, to be compared; columns without a heading are text.
-    lines = [head, ["---"] + ["---:" if all(head[1:]) else "---"] * (len(head) - 1), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def _ratios(report: dict[str, Any], what: str) -> str:
     labels = {key: values["label"] for key, values in report["ways"].items()}
     rows = [
@@ -110,7 +104,7 @@ def _ratios(report: dict[str, Any], what: str) -> str:
         ]
         for one in report["ratios"]
     ]
-    return _table([what, "Median of the rounds", "Lowest and highest"], rows)
+    return markdown_table([what, "Median of the rounds", "Lowest and highest"], rows)
 
 
 def _by_group(report: dict[str, Any]) -> Iterable[tuple[str, dict[str, Any]]]:
@@ -133,7 +127,7 @@ def _rates(report: dict[str, Any]) -> str:
             row += [f"{values['at_once']:,}", f"{values['arrived']:.0%}"]
         rows.append(row)
     head = ["", "Per second", "Lowest and highest round"]
-    return _table(head + (["Messages of a goal", "Arrived"] if of_feedback else []), rows)
+    return markdown_table(head + (["Messages of a goal", "Arrived"] if of_feedback else []), rows)
 
 
 def _percentiles(found: dict[str, Any] | None) -> list[str]:
@@ -155,7 +149,10 @@ def _goal_latencies(report: dict[str, Any]) -> str:
         if values["accepted"]
     ]
     return "\n\n".join(
-        (_table(head, ended), _table(["Milliseconds to the acceptance", *head[1:5]], accepted))
+        (
+            markdown_table(head, ended),
+            markdown_table(["Milliseconds to the acceptance", *head[1:5]], accepted),
+        )
     )
 
 
@@ -165,7 +162,7 @@ def _feedback_latencies(report: dict[str, Any]) -> str:
         [label, *_percentiles(values["seen"]), f"{values['seen']['samples']:,}"]
         for label, values in _by_group(report)
     ]
-    return _table(head, rows)
+    return markdown_table(head, rows)
 
 
 def _memory(report: dict[str, Any]) -> str:
@@ -183,9 +180,9 @@ def _memory(report: dict[str, Any]) -> str:
     head = ["", *(f"{count:,} active" for count in report["counts"])]
     most = report["counts"][-1]
     server = report["ways"]["tcp_server"]["megabytes"][str(most)]
-    table = _table([*head, "Each goal", "Each kept result"], rows)
+    made = markdown_table([*head, "Each goal", "Each kept result"], rows)
     return (
-        f"{table}\n\nThe server of `tcp://` has {server:,.0f} MB with {most:,} active goals;"
+        f"{made}\n\nThe server of `tcp://` has {server:,.0f} MB with {most:,} active goals;"
         f" the aim is less than {report['aim_megabytes']} MB with 10,000."
     )
 
@@ -200,7 +197,7 @@ def _growth(report: dict[str, Any]) -> str:
         for label, values in _by_group(report)
     ]
     head = ["One more goal", *(f"{count:,} active" for count in report["counts"])]
-    return _table([*head, "Last to first"], rows)
+    return markdown_table([*head, "Last to first"], rows)
 
 
 def _start(report: dict[str, Any]) -> str:
@@ -212,7 +209,7 @@ def _start(report: dict[str, Any]) -> str:
         ]
         for label, values in _by_group(report)
     ]
-    return _table(["", "Milliseconds", "Lowest and highest"], rows)
+    return markdown_table(["", "Milliseconds", "Lowest and highest"], rows)
 
 
 FASTER, SHORTER = "Rate (more than 1: faster)", "Median (less than 1: shorter)"

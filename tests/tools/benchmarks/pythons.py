@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import median, quantiles
 
 from tests.support.json_program import ROOT
+from tests.support.page_parts import markdown_table
 from tests.tools.benchmarks.pages import run
 from tests.tools.benchmarks.versions import Version, compare
 
@@ -56,17 +57,16 @@ def _minor(python: Path) -> str:
 
 def table(ratios: dict[str, dict[str, list[float]]], first: str) -> str:
     """Return the ratios as a table for the page."""
-    others = list(next(iter(ratios.values())))
-    heads = [f"| Rate, to that with {first} (more than 1: faster)", *others]
-    lines = [f"{' | '.join(heads)} |", f"| --- |{' ---: |' * len(others)}"]
+    rows: list[list[str]] = []
     for order, of_versions in ratios.items():
         where, _, work = order.partition(" ")
-        cells = [f"| fibaction, {where}: {NAMES[work]}"]
+        cells = [f"fibaction, {where}: {NAMES[work]}"]
         for each in of_versions.values():
             low, _, high = quantiles(each, n=4)
             cells.append(f"{median(each):.2f} ({low:.2f} to {high:.2f})")
-        lines.append(f"{' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append(cells)
+    others = next(iter(ratios.values()))
+    return markdown_table([f"Rate, to that with {first} (more than 1: faster)", *others], rows)
 
 
 async def measure(pythons: dict[str, Path], rounds: int) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import msgspec
 
 from tests.support.json_program import ROOT
-from tests.support.page_parts import with_part
+from tests.support.page_parts import markdown_table, with_part
 from tests.tools.benchmarks.pages import NOTHING
 from tests.tools.drawing import Bar, Panel, bars
 
@@ -72,16 +72,13 @@ def table(direction: Direction) -> str:
     """Return the figures of a direction as a table."""
     sizes = [size_text(direction.of, size) for size in direction.sizes]
     of = "Payload" if direction.of == "bytes" else direction.of.capitalize()
-    lines = [
-        f"| {of} | {' | '.join(sizes)} | Last to first |",
-        f"| --- |{' ---: |' * (len(sizes) + 1)}",
-    ]
+    rows: list[list[str]] = []
     for name, unit, values in direction.series:
         cells = [NOTHING if value is None else f"{figure(value)} {unit}" for value in values]
         known = [value for value in values if value is not None]
         ratio = f"{known[-1] / known[0]:.3g}" if known else NOTHING
-        lines.append(f"| {name} | {' | '.join(cells)} | {ratio} |")
-    return "\n".join(lines)
+        rows.append([name, *cells, ratio])
+    return markdown_table([of, *sizes, "Last to first"], rows)
 
 
 def picture(report: Report) -> str:
