@@ -28,6 +28,7 @@ from fibaction import (
     StoreError,
     TransportError,
     Watcher,
+    __version__,
     action,
     call,
     connect,
@@ -92,6 +93,7 @@ async def test_a_transport_that_keeps_goals_takes_new_servers_without_a_store_on
 async def test_a_connection_knows_the_workers_of_a_fleet() -> None:
     async with connect(OneWorker()) as connection:
         assert await connection.workers() == [WORKER]
+        assert connection.release == __version__
 
 
 async def test_without_a_block_a_client_or_a_connection_is_awaited_and_closed() -> None:

@@ -256,6 +256,7 @@ async def test_a_connection_need_not_know_interface_files() -> None:
 @pytest.mark.asyncio
 async def test_a_transport_need_not_be_a_fleet() -> None:
     assert await Nowhere().workers() == []
+    assert Nowhere().release == ""
     assert await Nowhere().given_up() == {}
     with pytest.raises(StoreError, match="only fleets keep such goals"):
         await Nowhere().rerun("fibonacci", GoalID.random())

@@ -22,6 +22,7 @@ from fibaction import (
     GoalStatus,
     ServerNotFound,
     TransportError,
+    __version__,
     connect,
     serve,
 )
@@ -189,6 +190,7 @@ def test_a_client_that_outlives_its_event_loop_is_collected_quietly() -> None:
 async def test_it_knows_the_workers_of_a_fleet() -> None:
     connection = await connect(OneWorker())
     assert await connection.workers() == [WORKER]
+    assert connection.release == __version__
     await connection.aclose()
 
 

@@ -16,6 +16,7 @@ from fibaction import (
     GoalStatus,
     ServerNotFound,
     TransportError,
+    __version__,
     connect,
     serve,
 )
@@ -87,6 +88,7 @@ async def test_a_server_that_is_not_there_is_named_with_what_to_do() -> None:
             " process, or wait for it with wait_for_server()"
         )
         assert await other.actions() == []
+        assert other.release == __version__
 
 
 async def test_a_name_that_is_not_served_is_told_with_those_that_are() -> None:

@@ -21,7 +21,10 @@ from fibaction import (
 )
 from fibaction.border.abc import ForwardingEndpoint
 from fibaction.wire.client.open_calls import OpenCalls
+from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server import session
+from fibaction.wire.server.session_client import SessionClient
+from fibaction.wire.settings import WireSettings
 from fibaction.words.intake import FIXED_INTAKE, OPEN_INTAKE, Intake, IntakeChange, IntakeMode
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
@@ -114,3 +117,10 @@ async def test_before_the_first_connection_nothing_is_changed() -> None:
     assert await calls.operate("drive") is OPEN_INTAKE
     with pytest.raises(ServerNotFound, match="has not answered yet"):
         await calls.operate("drive", PAUSE)
+
+
+async def test_a_client_of_a_session_may_observe_what_the_server_permits() -> None:
+    settings = WireSettings(authorize=lambda peer, action, permission: action == "drive")
+    client = SessionClient("127.0.0.1:51234", {}, settings)
+    client.greet(Hello(VERSION, 1.0))
+    assert [await client.may_observe(action) for action in ("drive", "lift")] == [True, False]
