@@ -10,15 +10,16 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from fibaction import GoalID, GoalStatus
 from fibaction.border.goal_store import StoredGoal
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from fibaction.words.intake import NO_LEVERS
 from tests.browser.archive import VARNISH, Paint
-from tests.browser.served import ArchiveProcess
+from tests.browser.served import ArchiveProcess, RobotProcess
 from tests.browser.test_console import NewRobot, action, goal, open_action, send
 
 
@@ -127,3 +128,19 @@ def test_a_goal_that_was_given_up_runs_again_after_a_question(page: Page, tmp_pa
         expect(page.get_by_label("Result")).to_be_visible()
         expect(again).to_be_hidden()
         expect(checkpoint).to_be_hidden()
+
+
+def test_the_levers_of_an_action_that_has_none_are_disabled_and_say_why(
+    page: Page, robot: RobotProcess
+) -> None:
+    def without_levers(route: Route) -> None:
+        infos = route.fetch().json()
+        route.fulfill(json=[info | {"no_levers": NO_LEVERS} for info in infos])
+
+    page.route("**/actions", without_levers)
+    open_action(page, robot)
+    for name in ("Pause…", "Drain…"):
+        lever = page.get_by_role("button", name=name)
+        expect(lever).to_be_disabled()
+        expect(lever).to_have_attribute("title", f"fibonacci: {NO_LEVERS}.")
+    is_accessible(page)
