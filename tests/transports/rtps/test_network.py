@@ -17,6 +17,7 @@ import pytest
 from fibaction.border.event_loop import Background, asyncio_loop
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import loops
+from fibaction_transports.rtps import network as network_module
 from fibaction_transports.rtps import sockets as sockets_module
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.events import (
@@ -191,6 +192,36 @@ async def test_samples_of_one_turn_share_datagrams(
             one.write(writer, payload("of one turn"))
         assert sum(sent) >= MOST_WAITING  # they do not wait for the end of a long turn
         await there.wait(SampleReceived, 21 + 2 * MOST_WAITING)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(("apart", "at_once"), [(-1.0, 1), (PATIENCE, 0)])
+async def test_a_sample_that_is_alone_leaves_at_once_if_none_was_written_just_before(
+    apart: float, at_once: int, domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = Listener(), Listener()
+    settings = DomainSettings(domain=domain)
+    async with participant(settings, here) as one, participant(settings, there) as other:
+        other.create_reader(TOPIC, TYPE, Qos())
+        writer = one.create_writer(TOPIC, TYPE, Qos(depth=None))
+        await here.wait(EndpointMatched)
+        one.write(writer, payload("first"))
+        await there.wait(SampleReceived)
+        sent: list[int] = []
+        send = ParticipantSockets.send
+
+        def note(self: ParticipantSockets, datagram: bytes, address: Any) -> None:
+            sent.append(datagram.count(b"alone"))
+            send(self, datagram, address)
+
+        monkeypatch.setattr(ParticipantSockets, "send", note)
+        monkeypatch.setattr(network_module, "APART", apart)
+        one.write(writer, payload("alone"), is_alone=True)
+        assert sum(sent) == at_once
+        one.write(writer, payload("alone"))
+        assert sum(sent) == at_once
+        await there.wait(SampleReceived, 3)
+        assert max(sent) == 2 - at_once  # the others share one
 
 
 @pytest.mark.anyio

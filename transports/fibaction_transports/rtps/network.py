@@ -42,6 +42,8 @@ TURN = 0.005
 """Seconds after which other tasks get their turn, before more datagrams are taken."""
 INBOX, INBOX_OF_ONE = 32 * MIB, 8 * MIB
 """Bytes of datagrams that were read and not taken, of all senders and of one."""
+APART = 0.0005
+"""Seconds between two samples from which on they need not share a datagram."""
 CLOSING_TIME = 1.0
 """Seconds for which a participant that leaves waits for room to say so."""
 MOST_WAITING = 256
@@ -140,6 +142,7 @@ class ParticipantNetwork:
         self._sending = participant.datagrams_to_send()
         self._unsent: tuple[bytes, Address] | None = None
         self._read_at = math.inf
+        self._written_at = -math.inf
         self._is_blocked = anyio.Event()
 
     def create_writer(
@@ -178,17 +181,21 @@ class ParticipantNetwork:
         inline_qos: Sequence[tuple[int, bytes]] = (),
         time: float | None = None,
         only_to: Guid | None = None,
+        is_alone: bool = False,
     ) -> int:
         """Send a sample, as `DataWriter.write` describes.
 
-        Samples that are written at nearly the same time share datagrams, which leave soon.
+        Samples that are written at nearly the same time share datagrams, which leave soon. One that
+        is alone belongs to no others: it leaves at once, if none was written just before.
         """
         now = self._loop.time()
         number = writer.write(payload, now, inline_qos=inline_qos, time=time, only_to=only_to)
-        if self.participant.outbox.count < MOST_WAITING:
-            self._loop.settle_soon()
-        else:
+        is_apart = is_alone and now - self._written_at > APART
+        self._written_at = now
+        if is_apart or self.participant.outbox.count >= MOST_WAITING:
             self.settle()
+        else:
+            self._loop.settle_soon()
         return number
 
     def catch_up(self, reader: DataReader) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any, Final
 
 import msgspec
@@ -57,6 +58,11 @@ class MessageForm:
             raise TypeError(f"{given!r} does not have the fields of ROS: {'; '.join(problems)}")
         assert isinstance(part, MessagePart)
         self._ros = RosCodec(part)
+        self._struct: type[msgspec.Struct] | None = None
+        """The class of the messages, if it is a struct that checks what it is made of."""
+        config = getattr(kind.cls, "__struct_config__", None)
+        if self._codec is None and config is not None and config.forbid_unknown_fields:
+            self._struct = kind.cls  # type: ignore[assignment]  # it makes messages, as any of these
 
     def other_types(self, ends: Iterable[EndInfo]) -> str:
         """Return the types of the ends that have another one, as a text; empty if there is none, or
@@ -75,6 +81,10 @@ class MessageForm:
         """
         if self._codec is None and isinstance(value, self._kind.cls):  # type: ignore[arg-type]  # ROS's own are classes, too
             return value
+        if self._struct is not None:
+            # The usual values need no copy. What follows takes others, and tells what is wrong.
+            with suppress(msgspec.ValidationError):
+                return msgspec.convert(value, self._struct, builtin_types=[bytes])
         codec = _ANYTHING if self._codec is None or isinstance(value, dict) else self._codec
         try:
             return self._ros.to_ros(codec.encode(value))

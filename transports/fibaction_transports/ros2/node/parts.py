@@ -61,6 +61,10 @@ class TopicPublisher(ABC):
     def publish(self, message: Any) -> None:
         """Publish a message."""
 
+    def publish_alone(self, message: Any) -> None:
+        """Publish a message that belongs to no others, and so does not wait for them."""
+        self.publish(message)
+
     @abstractmethod
     def publish_bytes(self, message: bytes) -> None:
         """Publish a serialized message."""

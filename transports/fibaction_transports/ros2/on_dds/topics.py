@@ -36,10 +36,10 @@ class DdsPublisher(TopicPublisher):
         self,
         writer: DataWriter,
         message_type: MessageType,
-        write: Callable[[DataWriter, bytes], object],
+        write: Callable[..., object],
         room: float,
     ) -> None:
-        """`room` is `EndQos.room`."""
+        """`write` is `ParticipantNetwork.write`, and `room` is `EndQos.room`."""
         self.end = writer
         self._room = room
         self._encode = message_type.codec.encode
@@ -48,9 +48,12 @@ class DdsPublisher(TopicPublisher):
     def publish(self, message: Any) -> None:
         self.publish_bytes(self._encode(message))
 
-    def publish_bytes(self, message: bytes) -> None:
+    def publish_alone(self, message: Any) -> None:
+        self.publish_bytes(self._encode(message), is_alone=True)
+
+    def publish_bytes(self, message: bytes, *, is_alone: bool = False) -> None:
         try:
-            self._write(self.end, message)
+            self._write(self.end, message, is_alone=is_alone)
         except LimitReached as exc:
             logger.error("%s: a message is lost: %s", self.end.topic, exc)
 
