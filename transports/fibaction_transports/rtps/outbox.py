@@ -13,6 +13,7 @@ from fibaction_transports.rtps.messages.encoder import (
     DESTINATION_HEAD,
     packet_head,
     submessage_bytes,
+    submessage_pieces,
 )
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, UNKNOWN_PREFIX
 from fibaction_transports.rtps.messages.locators import Address
@@ -140,16 +141,19 @@ class Outbox:
         first = self._head
         if route.prefix != UNKNOWN_PREFIX:
             first += DESTINATION_HEAD + route.prefix
-        parts, size, time, samples = [first], len(first), None, 0
+        parts: list[bytes | memoryview] = [first]
+        size, time, samples = len(first), None, 0
         for entry in entries:
-            part = submessage_bytes(entry.submessage)
-            if (size + len(part) > PACKED or samples >= SAMPLES) and len(parts) > 1:
+            head, payload = pieces = submessage_pieces(entry.submessage)
+            more = len(head) + len(payload)
+            if (size + more > PACKED or samples >= SAMPLES) and len(parts) > 1:
                 yield b"".join(parts)
-                parts, size, time, samples = [first], len(first), None, 0
+                parts = [first]
+                size, time, samples = len(first), None, 0
             samples += isinstance(entry.submessage, Data)
-            if entry.time != time and isinstance(entry.submessage, Data | DataFragment):
+            if entry.time != time and isinstance(entry.submessage, (Data, DataFragment)):
                 time = entry.time
                 parts.append(submessage_bytes(Timestamp(time)))
-            parts.append(part)
-            size += len(part)
+            parts += pieces
+            size += more
         yield b"".join(parts)

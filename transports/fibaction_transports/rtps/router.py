@@ -29,6 +29,7 @@ from fibaction_transports.rtps.messages.submessages import (
     WriterHeartbeat,
 )
 
+_SAMPLES, _NACKS = (Data, DataFragment), (AckNack, FragmentNack)  # unions are slow to check
 DISCOVERY_AT_ONCE = 64
 """Samples of discovery that are taken of one datagram: each may cost much. Those that are left out
 are requested again.
@@ -90,11 +91,11 @@ class MessageRouter:
                     self._sample(prefix, submessage, time, now)
             elif sender is None:
                 continue  # nothing of a stranger is matched
-            elif isinstance(submessage, Data | DataFragment):
+            elif isinstance(submessage, _SAMPLES):
                 self._sample(prefix, submessage, time, now)
             elif isinstance(submessage, WriterHeartbeat):
                 self._heartbeat(prefix, submessage, now)
-            elif isinstance(submessage, AckNack | FragmentNack):
+            elif isinstance(submessage, _NACKS):
                 self._nack(sender, submessage, now)
             else:  # a GAP
                 writer = Guid(prefix + submessage.writer)

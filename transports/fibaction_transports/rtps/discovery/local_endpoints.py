@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
-from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid, is_builtin
+from fibaction_transports.rtps.messages.ids import BUILTIN, UNKNOWN_ENTITY, Guid, is_builtin
 
 _BUILTIN_READERS = {0xC2: b"\xc7", 0xC3: b"\xc4"}
 """The kinds of the readers of discovery, by those of its writers: with a key, and without one."""
@@ -30,11 +30,11 @@ class LocalEndpoints:
 
     def matched(self, entity: bytes, writer: Guid) -> Sequence[WriterProxy]:
         """Return what takes something of a writer, at the matched readers that it is for."""
-        if entity == UNKNOWN_ENTITY and is_builtin(writer.entity):
-            entity = writer.entity[:3] + _BUILTIN_READERS.get(writer[-1], b"\xc7")
         if entity == UNKNOWN_ENTITY:
-            readers = self.readers.values()
-            return [each.proxies[writer] for each in readers if writer in each.proxies]
+            if writer[-1] & BUILTIN != BUILTIN:
+                readers = self.readers.values()
+                return [each.proxies[writer] for each in readers if writer in each.proxies]
+            entity = writer.entity[:3] + _BUILTIN_READERS.get(writer[-1], b"\xc7")
         reader = self.readers.get(entity)
         if reader is None or writer not in reader.proxies:
             return ()

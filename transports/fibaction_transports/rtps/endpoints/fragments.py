@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from io import BytesIO
 
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.layout import MAX_BITS
@@ -12,6 +13,12 @@ from fibaction_transports.rtps.messages.submessages import DataFragment, NumberS
 _OVERHEAD = 512
 """Bytes that are counted for an incomplete sample beside its content."""
 _ARRIVED = 1
+AT_ONCE = 4
+"""Large samples in the memory of most programs: the newest two, and the message of each."""
+SMALL = 2**17
+"""Bytes of a sample from which on the C library takes its memory from the system, and gives it back
+when it is freed, which costs as much as two copies. The GNU one keeps twice the largest block that
+was ever freed, so a block is made and freed for the first of larger samples."""
 
 
 class PartialSample:
@@ -28,7 +35,8 @@ class PartialSample:
         self.number = fragment.number
         self.home = home
         self.inline_qos: Parameters | None = None
-        self.data = bytearray(fragment.sample_size)
+        self._size = fragment.sample_size
+        self._content = BytesIO(bytes(fragment.sample_size))  # which gives its bytes without a copy
         self._fragment_size = fragment.fragment_size
         self._left = -(-fragment.sample_size // fragment.fragment_size)
         self._arrived = bytearray(self._left)
@@ -38,7 +46,7 @@ class PartialSample:
     @property
     def size(self) -> int:
         """Bytes that are counted for it."""
-        return len(self.data) + len(self._arrived) + _OVERHEAD
+        return self._size + len(self._arrived) + _OVERHEAD
 
     @property
     def is_complete(self) -> bool:
@@ -48,18 +56,22 @@ class PartialSample:
     def add(self, fragment: DataFragment) -> bool:
         """Put fragments into their places; return False if they are of another sample."""
         size = self._fragment_size
-        if fragment.sample_size != len(self.data) or fragment.fragment_size != size:
+        if fragment.sample_size != self._size or fragment.fragment_size != size:
             return False
         if fragment.inline_qos is not None:
             self.inline_qos = fragment.inline_qos
         self.requests = 0
         first = fragment.first - 1
-        start = first * size
-        self.data[start : start + len(fragment.payload)] = fragment.payload
+        self._content.seek(first * size)
+        self._content.write(fragment.payload)
         last = first + fragment.count
         self._left -= self._arrived.count(0, first, last)
         self._arrived[first:last] = bytes([_ARRIVED]) * fragment.count
         return True
+
+    def content(self) -> bytes:
+        """Return the sample, of which each fragment has arrived."""
+        return self._content.getvalue()
 
     def missing(self) -> NumberSet:
         """Return the numbers of missing fragments, as many as a request can name."""
@@ -77,6 +89,8 @@ class PartialSamples:
     def __init__(self, limits: RtpsLimits) -> None:
         self._sample_limit = limits.sample
         self._limit = limits.incomplete
+        self._largest = SMALL
+        """The largest sample for which the memory is kept: see `SMALL`."""
         self._waiting: dict[bytes, OrderedDict[PartialSample, None]] = {}
         self._held_by: dict[bytes, int] = {}
         self.held = 0
@@ -88,6 +102,9 @@ class PartialSamples:
         """Put a new sample from a participant into its home; return None if it exceeds a limit."""
         if fragment.sample_size > self._sample_limit:
             return None
+        if fragment.sample_size > self._largest:
+            self._largest = fragment.sample_size
+            bytes(AT_ONCE * self._largest)
         partial = PartialSample(fragment, sender, home)
         if partial.size > self._limit:
             return None

@@ -59,7 +59,7 @@ def padded(payload: bytes) -> bytes:
     )
 
 
-def unpadded(payload: bytes | bytearray | memoryview) -> bytes:
+def unpadded(payload: bytes | memoryview) -> bytes:
     """Return a received payload without its padding, and with none in its header."""
     padding = payload[3] & PADDING_BITS
     if not padding or len(payload) < ENCAPSULATION + padding:

@@ -175,7 +175,7 @@ class WriterProxy:
                 self._shared.timers.set(self.on_fragments_due, now + FRAGMENT_PAUSE)
             return
         partials.remove(partial)
-        content = unpadded(partial.data)
+        content = unpadded(partial.content())
         sample = Sample(self._guid, number, content, partial.inline_qos, time, fragment.is_key)
         self._take(sample, now)
 

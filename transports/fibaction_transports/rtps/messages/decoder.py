@@ -51,20 +51,21 @@ def read_packet(datagram: bytes) -> Packet:
     if datagram[4] != layout.VERSION[0]:
         raise InvalidPacket(f"version {datagram[4]} of RTPS is not {layout.VERSION[0]}")
     try:
-        submessages = tuple(_submessages(memoryview(datagram)))
+        submessages = tuple(_submessages(datagram))
     except struct.error as error:
         raise InvalidPacket("submessage is shorter than its kind") from error
     prefix, vendor = datagram[8 : layout.PACKET_HEAD], datagram[6:8]
     return Packet(prefix, vendor, submessages, len(datagram))
 
 
-def _submessages(data: memoryview) -> list[Submessage]:
+def _submessages(datagram: bytes) -> list[Submessage]:
     found = list[Submessage]()
-    offset, end = layout.PACKET_HEAD, len(data)
-    while offset + layout.SUBMESSAGE_HEAD.size <= end:
-        order = LITTLE if data[offset + 1] & layout.LITTLE_FLAG else BIG
-        kind, flags, size = layout.SUBMESSAGE_HEAD[order].unpack_from(data, offset)
-        offset += layout.SUBMESSAGE_HEAD.size
+    data, heads = memoryview(datagram), layout.SUBMESSAGE_HEAD
+    offset, end, step = layout.PACKET_HEAD, len(datagram), heads.size
+    while offset + step <= end:
+        order = LITTLE if datagram[offset + 1] & layout.LITTLE_FLAG else BIG
+        kind, flags, size = heads[order].unpack_from(datagram, offset)
+        offset += step
         if size == 0 and kind not in (layout.PAD, layout.INFO_TS):
             size = end - offset  # the last one may leave its length out
         if offset + size > end:
@@ -128,8 +129,9 @@ def _inline_qos(
 
 
 def _heartbeat(body: memoryview, flags: int, order: Order) -> WriterHeartbeat:
-    reader, writer, *numbers, count = layout.HEARTBEAT_BODY[order].unpack_from(body)
-    first, last = (numbers[0] << 32) | numbers[1], (numbers[2] << 32) | numbers[3]
+    fields = layout.HEARTBEAT_BODY[order].unpack_from(body)
+    reader, writer, first_high, first_low, last_high, last_low, count = fields
+    first, last = (first_high << 32) | first_low, (last_high << 32) | last_low
     if not 0 < first < MAX_NUMBER:
         raise invalid_number(first, 1)
     if not first - 1 <= last < MAX_NUMBER:

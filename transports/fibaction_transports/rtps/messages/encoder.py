@@ -30,8 +30,9 @@ from fibaction_transports.rtps.messages.submessages import (
     WriterHeartbeat,
 )
 
-_Parts: TypeAlias = tuple[int, int, bytes]
-"""The kind, the flags and the body of a submessage."""
+_Parts: TypeAlias = tuple[int, int, bytes, bytes | memoryview]
+"""The kind and the flags of a submessage, its body, and the payload at the end of it."""
+_NO_PAYLOAD = b""
 
 _MAX_BODY = 2**16 - 1
 DESTINATION_HEAD = layout.SUBMESSAGE_HEAD[LITTLE].pack(
@@ -45,38 +46,48 @@ def packet_head(vendor: bytes, prefix: bytes) -> bytes:
     return layout.MAGIC + layout.VERSION + vendor + prefix
 
 
-def submessage_bytes(submessage: Submessage, order: Order = LITTLE) -> bytes:
-    """Return a submessage as on the wire; inline QoS must have the same byte order.
+def submessage_pieces(
+    submessage: Submessage, order: Order = LITTLE
+) -> tuple[bytes, bytes | memoryview]:
+    """Return a submessage as on the wire in two pieces, of which the second one is its payload, so
+    that a datagram copies it once; inline QoS must have the same byte order.
 
     Raises:
         ValueError: It is longer than 65,535 bytes.
     """
-    kind, flags, body = _ENCODERS[type(submessage)](submessage, order)
-    if len(body) > _MAX_BODY:
-        raise ValueError(f"submessage of {len(body)} bytes exceeds {_MAX_BODY} bytes")
+    kind, flags, body, payload = _ENCODERS[type(submessage)](submessage, order)
+    size = len(body) + len(payload)
+    if size > _MAX_BODY:
+        raise ValueError(f"submessage of {size} bytes exceeds {_MAX_BODY} bytes")
     flags |= layout.LITTLE_FLAG if order == LITTLE else 0
-    return layout.SUBMESSAGE_HEAD[order].pack(kind, flags, len(body)) + body
+    return layout.SUBMESSAGE_HEAD[order].pack(kind, flags, size) + body, payload
+
+
+def submessage_bytes(submessage: Submessage, order: Order = LITTLE) -> bytes:
+    """Return `submessage_pieces` as one."""
+    return b"".join(submessage_pieces(submessage, order))
 
 
 def _gap(gap: Gap, order: Order) -> _Parts:
     numbers = (*halves(gap.start), *halves(gap.rest.base))
     head = layout.GAP_HEAD[order].pack(gap.reader, gap.writer, *numbers)
-    return layout.GAP, 0, head + bits_bytes(gap.rest.base, gap.rest.numbers, order)
+    return layout.GAP, 0, head + bits_bytes(gap.rest.base, gap.rest.numbers, order), _NO_PAYLOAD
 
 
 def _destination(destination: Destination, _: Order) -> _Parts:
-    return layout.INFO_DST, 0, destination.prefix
+    return layout.INFO_DST, 0, destination.prefix, _NO_PAYLOAD
 
 
 def _source(source: SourceInfo, order: Order) -> _Parts:
     body = layout.SOURCE_BODY[order].pack(layout.VERSION, source.vendor, source.prefix)
-    return layout.INFO_SRC, 0, body
+    return layout.INFO_SRC, 0, body, _NO_PAYLOAD
 
 
 def _timestamp(timestamp: Timestamp, order: Order) -> _Parts:
     if timestamp.time is None:
-        return layout.INFO_TS, layout.INVALID_FLAG, b""
-    return layout.INFO_TS, 0, layout.TIME_BODY[order].pack(*time_halves(timestamp.time))
+        return layout.INFO_TS, layout.INVALID_FLAG, b"", _NO_PAYLOAD
+    body = layout.TIME_BODY[order].pack(*time_halves(timestamp.time))
+    return layout.INFO_TS, 0, body, _NO_PAYLOAD
 
 
 def _data(data: Data, order: Order) -> _Parts:
@@ -88,7 +99,7 @@ def _data(data: Data, order: Order) -> _Parts:
     flags = layout.INLINE_FLAG if inline else 0
     if data.payload is not None:
         flags |= layout.KEY_FLAG if data.is_key else layout.PAYLOAD_FLAG
-    return layout.DATA, flags, b"".join((head, inline, data.payload or b""))
+    return layout.DATA, flags, head + inline, data.payload or _NO_PAYLOAD
 
 
 def _fragment(fragment: DataFragment, order: Order) -> _Parts:
@@ -106,7 +117,7 @@ def _fragment(fragment: DataFragment, order: Order) -> _Parts:
     inline = b"" if fragment.inline_qos is None else parameters_bytes(fragment.inline_qos)
     flags = layout.INLINE_FLAG if inline else 0
     flags |= layout.FRAGMENT_KEY_FLAG if fragment.is_key else 0
-    return layout.DATA_FRAG, flags, b"".join((head, inline, fragment.payload))
+    return layout.DATA_FRAG, flags, head + inline, fragment.payload
 
 
 def _heartbeat(heartbeat: WriterHeartbeat, order: Order) -> _Parts:
@@ -115,7 +126,7 @@ def _heartbeat(heartbeat: WriterHeartbeat, order: Order) -> _Parts:
     span = first >> 32, first & LOW, last >> 32, last & LOW, heartbeat.count
     flags = layout.FINAL_FLAG if heartbeat.is_final else 0
     flags |= layout.ALIVE_FLAG if heartbeat.is_alive else 0
-    return layout.HEARTBEAT, flags, layout.HEARTBEAT_BODY[order].pack(*ends, *span)
+    return layout.HEARTBEAT, flags, layout.HEARTBEAT_BODY[order].pack(*ends, *span), _NO_PAYLOAD
 
 
 def _nack(nack: AckNack | FragmentNack, order: Order) -> _Parts:
@@ -124,9 +135,9 @@ def _nack(nack: AckNack | FragmentNack, order: Order) -> _Parts:
     ends = nack.reader, nack.writer
     if isinstance(nack, FragmentNack):
         head = layout.NACK_FRAG_HEAD[order].pack(*ends, *halves(nack.number), missing.base)
-        return layout.NACK_FRAG, 0, head + tail
+        return layout.NACK_FRAG, 0, head + tail, _NO_PAYLOAD
     head = layout.ACK_NACK_HEAD[order].pack(*ends, *halves(missing.base))
-    return layout.ACK_NACK, layout.FINAL_FLAG if nack.is_final else 0, head + tail
+    return layout.ACK_NACK, layout.FINAL_FLAG if nack.is_final else 0, head + tail, _NO_PAYLOAD
 
 
 _ENCODERS: dict[type[Any], Callable[[Any, Order], _Parts]] = {
