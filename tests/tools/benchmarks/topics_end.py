@@ -1,12 +1,15 @@
-"""`python -m tests.tools.benchmarks.topics_end stock|fibaction|rclpy`: one end of the topics.
+"""`python -m tests.tools.benchmarks.topics_end stock|fibaction|rclpy|bare`: one end of the topics.
 
 It takes orders as lines of JSON, with a name and a number, and answers each. `stock` publishes and
-counts for the two others, each of which has topics of its own.
+counts for `fibaction` and `rclpy`, each of which has topics of its own. Two `bare` ones have
+neither topics nor ROS: a socket on asyncio, which shows the least that any library takes there.
 """
 
 from __future__ import annotations
 
+import asyncio  # noqa: TID251  # one end is asyncio itself
 import json
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -16,6 +19,8 @@ from typing import Any
 import anyio
 
 LARGE = bytes(1_000_000)
+PIECES = [*[bytes(63_000)] * 15, b"!" + bytes(54_999)]
+"""The same as datagrams, of which the last one counts."""
 PERIODS = {"small": 0.001, "flood": 0.0, "large": 1 / 30}
 """The seconds between two messages."""
 CONTENDERS = ("fibaction", "rclpy")
@@ -132,9 +137,46 @@ async def ours(name: str) -> None:
         tasks.cancel_scope.cancel()
 
 
+async def bare() -> None:
+    """Send and count datagrams, with nothing but a socket and the event loop."""
+    heard, loop = Heard(), asyncio.get_running_loop()
+
+    def hear() -> None:
+        datagram = own.recv(2**16)
+        if datagram.startswith(b"!"):
+            heard.note(datagram)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**22)
+        own.bind(("127.0.0.1", 0))
+        own.setblocking(False)
+        loop.add_reader(own, hear)
+        say(own.getsockname()[1])
+        port = 0
+        while line := await anyio.to_thread.run_sync(sys.stdin.readline, abandon_on_cancel=True):
+            order = json.loads(line)
+            what = order["do"].partition(" ")[0]
+            if what == "heard":
+                say(heard.taken())
+                continue
+            if what == "to":
+                port = order["times"]
+            else:
+                datagrams = PIECES if what == "large" else [b"!" + bytes(51)]
+                for wait in ticks(order["times"], PERIODS[what]):
+                    if wait:
+                        await anyio.sleep(wait)
+                    for datagram in datagrams:
+                        own.sendto(datagram, ("127.0.0.1", port))
+            say("done")
+        loop.remove_reader(own)
+
+
 if __name__ == "__main__":
     end = sys.argv[1]
     if end == "fibaction":
         anyio.run(ours, end)
+    elif end.startswith("bare"):
+        anyio.run(bare)
     else:
         stock(*(CONTENDERS if end == "stock" else [end]))
