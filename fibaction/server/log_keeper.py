@@ -58,6 +58,9 @@ class LogKeeper(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a record, if an executor of the action has logged it; called with the lock."""
+        last = logging.lastResort
+        if last is not None and record.levelno >= last.level and self._is_only_handler(record):
+            last.handle(record)
         goal = current_goal.get()
         if goal is None or goal.action != self._action:
             return
@@ -80,3 +83,19 @@ class LogKeeper(logging.Handler):
         while len(self._lines) > MOST_GOALS or self._letters > MOST_LETTERS:
             _, gone = self._lines.popitem(last=False)
             self._letters -= sum(len(one.text) for one in gone)
+
+    def _is_only_handler(self, record: logging.LogRecord) -> bool:
+        """Return whether nothing else handles a record. `logging` itself would write it to stderr
+        then, if the root logger did not have this handler.
+        """
+        root = logging.getLogger()
+        if root.handlers[:1] != [self] or not all(
+            isinstance(one, LogKeeper) for one in root.handlers
+        ):
+            return False
+        logger: logging.Logger | None = logging.getLogger(record.name)
+        while logger is not None and logger is not root:
+            if logger.handlers:
+                return False
+            logger = logger.parent
+        return True

@@ -156,3 +156,22 @@ async def test_why_an_executor_has_failed_is_among_the_lines_of_its_goal() -> No
             await goal.result()
         [line] = await server.log_lines(goal.goal_id) or []
     assert "no such gripper" in line.text
+
+
+async def test_records_that_nothing_else_handles_are_still_written_to_stderr_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    own = logging.getLogger("arm.with_handler")
+    monkeypatch.setattr(own, "handlers", [logging.NullHandler()])
+    async with gripping(log_lines=2), gripping(log_lines=2):
+        log.warning("nobody has set up logging")
+        log.info("not so important")
+        own.warning("goes to its own handler")
+        other = logging.NullHandler()
+        logging.getLogger().addHandler(other)
+        log.warning("goes to the handler of the program")
+        logging.getLogger().removeHandler(other)
+        monkeypatch.setattr(logging, "lastResort", None)
+        log.warning("is not to be written")
+    assert capsys.readouterr().err == "nobody has set up logging\n"
