@@ -9,8 +9,8 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from fibaction import GoalID, connect, serve
-from fibaction.border.abc import ForwardingEndpoint, GoalStream
+from fibaction import GoalID, ProtocolError, connect, serve
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.attach import attach
 from tests.cli.conftest import Run, Start, detached, interrupt
@@ -55,6 +55,19 @@ def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) ->
     assert f"{goal_id}  EXECUTING" in here("goals", "wait", url=tcp).out
 
 
+class GivenUp(ForwardingEndpoint):
+    """A server that has given up each goal, with this checkpoint."""
+
+    def __init__(self, inner: Endpoint, checkpoint: bytes) -> None:
+        super().__init__(inner)
+        self._checkpoint = checkpoint
+
+    async def feedback(self, *arguments: Any, **more: Any) -> GoalStream:
+        stream: Any = await super().feedback(*arguments, **more)
+        stream.checkpoint = self._checkpoint
+        return cast("GoalStream", stream)
+
+
 @pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("checkpoint", "value", "text"),
@@ -66,15 +79,9 @@ def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) ->
 async def test_the_checkpoint_of_a_goal_that_was_given_up_is_shown(
     checkpoint: bytes, value: int | None, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class GivenUp(ForwardingEndpoint):
-        async def feedback(self, *arguments: Any, **more: Any) -> GoalStream:
-            stream: Any = await super().feedback(*arguments, **more)
-            stream.checkpoint = checkpoint
-            return cast("GoalStream", stream)
-
     url = "inproc://given-up"
     server = counter("one", ["done"])
-    async with serve(GivenUp(server), url), connect(url, server.action) as client:
+    async with serve(GivenUp(server, checkpoint), url), connect(url, server.action) as client:
         async with client.send_goal(1) as goal:
             await goal.result()
         await attach(url, str(goal.goal_id), None, full=True, as_json=False)
@@ -82,6 +89,18 @@ async def test_the_checkpoint_of_a_goal_that_was_given_up_is_shown(
         await attach(url, str(goal.goal_id), None, full=False, as_json=True)
         last = json.loads(capsys.readouterr().out.splitlines()[-1])
         assert last == {"event": "given_up", "checkpoint": value}
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("checkpoint", [b"\xc1", b"\x91" * 5000, b"\x81\x80\x01"])
+async def test_a_checkpoint_that_cannot_be_read_is_one_sentence(checkpoint: bytes) -> None:
+    url = "inproc://unreadable-checkpoint"
+    server = counter("one", ["done"])
+    async with serve(GivenUp(server, checkpoint), url), connect(url, server.action) as client:
+        async with client.send_goal(1) as goal:
+            await goal.result()
+        with pytest.raises(ProtocolError, match=f"the checkpoint of goal {goal.goal_id} is not"):
+            await attach(url, str(goal.goal_id), None, full=True, as_json=False)
 
 
 @pytest.mark.asyncio

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import click
-import msgspec
 
 from fibaction._api import connect
 from fibaction.cli.arguments.completion import ACTION, GOAL_ID, namespace_option
@@ -17,6 +17,7 @@ from fibaction.cli.output.render import goal_printer, print_goal
 from fibaction.cli.process.exit_codes import ExitCode, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.observe.monitor import AnyClient
+from fibaction.types.action import Codec
 from fibaction.words.goals import GoalID
 
 
@@ -79,4 +80,5 @@ async def _attach(
     printer.accepted(goal_id, stream.stamp, stream.info.parent)
     codes.append(await print_goal(stream, client.action, printer, live=not full))
     if stream.checkpoint is not None:
-        printer.given_up(msgspec.msgpack.decode(stream.checkpoint) if stream.checkpoint else None)
+        checkpoints: Codec[Any] = Codec(object, f"the checkpoint of goal {goal_id}")
+        printer.given_up(checkpoints.decode(stream.checkpoint) if stream.checkpoint else None)
