@@ -195,3 +195,28 @@ async def test_an_answer_is_compressed_for_a_client_that_takes_it(
     assert (told.get(b"content-encoding") == b"gzip") is is_packed
     assert told[b"etag"] == (b'W/"a"' if is_packed else b'"a"')
     assert (gzip.decompress(body) if is_packed else body) == bytes(size)
+
+
+@pytest.mark.parametrize(("status", "has_length"), [(200, True), (404, True), (204, False)])
+async def test_an_answer_without_a_body_tells_no_length_of_one(
+    status: int, has_length: bool
+) -> None:
+    told: dict[bytes, bytes] = {}
+
+    async def send(message: Any) -> None:
+        told.update(message.get("headers", ()))
+
+    await Exchange(SCOPE, receive, send).answer(status, b"")
+    assert (b"content-length" in told) is has_length
+
+
+async def test_that_a_copy_is_up_to_date_is_told_without_the_length_of_an_empty_body() -> None:
+    told: dict[bytes, bytes] = {}
+
+    async def send(message: Any) -> None:
+        told.update(message.get("headers", ()))
+
+    exchange = Exchange(SCOPE | {"headers": [(b"if-none-match", b'"a"')]}, receive, send)
+    await exchange.answer_unless_known(b"whole", '"a"')
+    assert told[b"etag"] == b'"a"'
+    assert b"content-length" not in told

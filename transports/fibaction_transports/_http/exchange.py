@@ -39,6 +39,8 @@ BODY_TIMEOUT = 30.0
 """Seconds in which the body of a request must have arrived."""
 WRITE_TIMEOUT = 30.0
 """Seconds in which a client must take a piece of an answer, if the server has no limit for it."""
+WITHOUT_BODY = (204, 304)
+"""The statuses of answers that have no body, and so no length of one (RFC 9110, 8.6)."""
 EVENT_STREAM = "text/event-stream"
 JSON = "application/json"
 COMMON_HEADERS = (
@@ -270,7 +272,9 @@ class Exchange:
             headers = (*headers, ("Content-Type", kind))
         if len(body) >= SMALLEST_PACKED:
             body, headers = await self._packed(body, headers)
-        self._begin(status, [*headers, ("Content-Length", str(len(body)))])
+        if status not in WITHOUT_BODY:
+            headers = (*headers, ("Content-Length", str(len(body))))
+        self._begin(status, headers)
         if self.method == "HEAD":  # whose answer has no body, whatever its length says
             body = b""
         with self._counted(max(0, len(body) - UNCOUNTED)):

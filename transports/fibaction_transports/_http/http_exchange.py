@@ -18,13 +18,11 @@ from anyio.abc import ByteStream
 
 from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
-from fibaction_transports._http.exchange import Message, Scope
+from fibaction_transports._http.exchange import WITHOUT_BODY, Message, Scope
 from fibaction_transports._socket_lines.on_anyio import BROKEN
 
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""
-_WITHOUT_BODY = (204, 304)
-"""The statuses of answers that have no body."""
 _ABSOLUTE = re.compile(rb"https?://(?P<host>[^/?#]+)(?P<path>[^#]*)", re.IGNORECASE)
 MOST_EARLY = 2**16
 """Bytes of later requests that are read while one is answered; more are left to the socket."""
@@ -108,10 +106,10 @@ class HttpAnswer:
                 lines.append(b"%b: %b" % (name, value))
                 if name == b"content-length":
                     length = int(value)
-        has_body = not self._is_head and status not in _WITHOUT_BODY
+        has_body = not self._is_head and status not in WITHOUT_BODY
         if length is None and has_body and self._is_old:
             self.is_last = True
-        elif length is None and status not in _WITHOUT_BODY and not self._is_old:
+        elif length is None and status not in WITHOUT_BODY and not self._is_old:
             lines.append(b"transfer-encoding: chunked")
             self._is_chunked = has_body
         self._left = length if has_body else 0
