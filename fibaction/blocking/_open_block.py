@@ -30,13 +30,9 @@ from fibaction.types.arguments import (
 from fibaction.words.errors import TransportError
 
 if TYPE_CHECKING:
-    from fibaction_transports.keywords import ServeKeywords
-
-
-if TYPE_CHECKING:
     from fibaction.client.options import BlockingCallOptions
     from fibaction.server.functions.function_action import FunctionAction
-    from fibaction_transports.keywords import ConnectKeywords
+    from fibaction_transports.keywords import ConnectKeywords, ServeKeywords
 
     class BlockingOneCallOptions(BlockingCallOptions[FeedbackT], ConnectKeywords, total=False):
         """The options of `call`, and the settings of `connect`."""
