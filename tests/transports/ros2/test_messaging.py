@@ -33,6 +33,7 @@ from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, Service, open_node
 from fibaction_transports.ros2.messaging import newest, services, subscription, transforms
 from fibaction_transports.ros2.messaging import node as messaging_node
+from fibaction_transports.ros2.messaging import publisher as messaging_publisher
 from fibaction_transports.ros2.messaging.node import topic_values
 from fibaction_transports.ros2.node.own_parameters import written
 from fibaction_transports.ros2.node.ros_node import RosClock, TypeVersion
@@ -42,6 +43,7 @@ from fibaction_transports.ros2.on_dds.services import DdsCaller
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.ros2.without_ros.messages import file_types
+from fibaction_transports.rtps.endpoints.reader_proxy import SILENCE
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
@@ -112,6 +114,28 @@ async def test_a_loop_that_publishes_lets_others_have_their_turns(scheme: str) -
             if seen.is_set():
                 break
         assert seen.is_set()
+
+
+async def test_a_loop_that_works_between_its_messages_lets_others_have_their_turns(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, turns = 0.0, 0
+    monkeypatch.setattr(messaging_publisher, "perf_counter", lambda: now)
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await anyio.lowlevel.checkpoint()
+
+    async with two_nodes(scheme) as (robot, _), anyio.create_task_group() as tasks:
+        publisher = robot.publisher("image", STRING)
+        tasks.start_soon(other)
+        for _ in range(10):
+            now += 0.02  # the work
+            await publisher.publish({"data": "an image"})
+        assert turns >= 9
+        tasks.cancel_scope.cancel()
 
 
 async def test_large_values_are_published_without_a_copy_and_unusual_ones_are_taken_too(
@@ -435,6 +459,21 @@ async def test_the_shared_subscription_that_was_used_first_gives_way(
         tasks.cancel_scope.cancel()
 
 
+async def test_a_call_for_one_message_keeps_no_publisher_waiting(scheme: str) -> None:
+    async with two_nodes(scheme) as (robot, planner):
+        publisher = robot.publisher("odom", STRING, qos="keep_all", depth=2)
+        assert planner.latest("odom", STRING, qos="keep_all") is None
+        await publisher.wait_for_reader(PATIENCE)
+        for number in range(20):
+            await publisher.publish({"data": str(number)}, timeout=SILENCE / 2)
+
+        def newest_is_there() -> bool:
+            found = planner.latest("odom", STRING, qos="keep_all")
+            return found is not None and found.data == "19"
+
+        await until(newest_is_there)
+
+
 async def test_a_late_reader_gets_what_is_latched(scheme: str) -> None:
     async with two_nodes(scheme) as (robot, planner):
         latched = robot.publisher("map", STRING, qos="transient_local", depth=1)
@@ -636,6 +675,28 @@ async def test_a_reader_learns_that_its_node_was_closed(scheme: str) -> None:
 
             tasks.start_soon(is_told)
             await anyio.wait_all_tasks_blocked()
+
+
+async def test_a_call_for_one_message_may_end_after_its_node_was_closed(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = anyio.Event()
+
+    async def upcoming(*_: object) -> None:
+        await closed.wait()
+        raise ConnectionLost("the node was closed here")
+
+    monkeypatch.setattr(subscription.Subscription, "upcoming", upcoming)
+    async with anyio.create_task_group() as tasks:
+        async with two_nodes(scheme) as (_, planner):
+
+            async def is_told() -> None:
+                with pytest.raises(ConnectionLost, match="the node was closed here"):
+                    await planner.next("chatter", STRING)
+
+            tasks.start_soon(is_told)
+            await anyio.wait_all_tasks_blocked()
+        closed.set()
 
 
 async def test_nothing_is_begun_or_waited_for_at_a_node_that_was_closed(scheme: str) -> None:

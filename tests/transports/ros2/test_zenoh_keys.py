@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import count
 
 import pytest
@@ -89,7 +90,7 @@ def test_our_tokens_and_words_are_those_of_rclpy() -> None:
         "/fibonacci/_action/status",
         "action_msgs/msg/GoalStatusArray",
         words[-2],
-        qos.published_status(2.0),
+        qos.published_status(math.inf),
     )
     assert status.replace("/0/1/MP/", "/0/14/MP/") == STATUSES
     assert key_of(
@@ -107,6 +108,7 @@ def test_a_name_in_a_namespace_keeps_its_slashes_and_a_weak_qos_is_told() -> Non
         deadline=0.25,
         lifespan=3,
         liveliness="manual_by_topic",
+        lease=1.5,
     )
     found = read_token(made.end(SUBSCRIPTION, "/robot/left/a", "a_msgs/msg/A", ANY_HASH, weak))
     assert found is not None

@@ -8,16 +8,18 @@ from typing import Any, Final, TypeAlias
 
 import anyio
 from anyio.abc import TaskGroup
+from msgspec.structs import replace
 
+from fibaction.border.abc import Notifier
+from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.messaging.subscription import Subscription
-from fibaction_transports.ros2.qos import EndQos
 
 KEPT_OPEN: Final = 5.0
 """Seconds for which a subscription stays open for the next call of `Node.next`."""
 MOST_SHARED: Final = 1_000
 """Subscriptions that are open; then that gives way which was not used for the longest time."""
 
-Wanted: TypeAlias = tuple[str, str | type[Any], str | EndQos]
+Wanted: TypeAlias = tuple[str, str | type[Any], str | qos.EndQos]
 """A topic by its full name, its type, and a quality of service."""
 
 
@@ -46,7 +48,8 @@ class NewestMessages:
         self._tasks = tasks
         self._shared: dict[Wanted, _Shared] = {}
         """The one that was used last is at the end."""
-        self._is_closing = False
+        self._news = Notifier()
+        self._has_closer = False
 
     def latest(self, wanted: Wanted) -> Any | None:
         """Return the newest message; None if none has arrived yet."""
@@ -63,15 +66,18 @@ class NewestMessages:
         finally:
             shared.waiting -= 1
             shared.used = anyio.current_time()
-            if not self._is_closing:
-                self._is_closing = True
-                self._tasks.start_soon(self._close_unused, name="close unused subscriptions")
+            self._news.notify()
 
     def _open(self, wanted: Wanted) -> _Shared:
         shared = self._shared.pop(wanted, None)
         if shared is None:
-            topic, type_, qos = wanted
-            shared = _Shared(self._subscribe(topic, type_, qos=qos, depth=1))
+            topic, type_, given = wanted
+            # With `keep_all`, publishers would wait for a reader of every message.
+            newest = replace(qos.of_topic(given, depth=1), history="keep_last")
+            shared = _Shared(self._subscribe(topic, type_, qos=newest))
+            if not self._has_closer:  # not at the end of a call: the node may be closed then
+                self._has_closer = True
+                self._tasks.start_soon(self._close_unused, name="close unused subscriptions")
             for key in [key for key, one in self._shared.items() if not one.waiting]:
                 if len(self._shared) >= MOST_SHARED:
                     self._shared.pop(key).subscription.close()
@@ -79,12 +85,13 @@ class NewestMessages:
         return shared
 
     async def _close_unused(self) -> None:
-        """Close each subscription some time after its last use, until none is left to close."""
-        try:
-            while (due := min(map(_closing_time, self._shared.values()), default=inf)) < inf:
-                await anyio.sleep_until(due)
-                now = anyio.current_time()
-                for key in [key for key, one in self._shared.items() if _closing_time(one) <= now]:
-                    self._shared.pop(key).subscription.close()
-        finally:
-            self._is_closing = False
+        """Close each subscription some time after its last use."""
+        while True:
+            due = min(map(_closing_time, self._shared.values()), default=inf)
+            if due == inf:
+                await self._news.wait()
+                continue
+            await anyio.sleep_until(due)
+            now = anyio.current_time()
+            for key in [key for key, one in self._shared.items() if _closing_time(one) <= now]:
+                self._shared.pop(key).subscription.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any, Final, Generic, TypeVar
@@ -15,7 +16,7 @@ from fibaction_transports.ros2.node.ros_node import RosNode, TopicType
 from fibaction_transports.ros2.qos import EndQos
 
 TURN: Final = 0.001
-"""Seconds of publishing after which other tasks get their turn."""
+"""Seconds after which a loop that publishes lets other tasks have their turn."""
 
 T = TypeVar("T")
 
@@ -34,8 +35,8 @@ class Publisher(Closing, Generic[T]):
         self._qos = end_qos
         self._part = ros.publisher(topic, topic_type.message, end_qos)
         self._is_closed = False
-        self._taken = 0.0
-        """Seconds that publishing has taken since others had their turn."""
+        self._yielded = -math.inf
+        """The time at which others had their turn here."""
 
     async def publish(self, message: T | dict[str, Any], *, timeout: float | None = None) -> None:
         """Publish a message, or a dict with its fields; those that it leaves out have the defaults
@@ -51,22 +52,20 @@ class Publisher(Closing, Generic[T]):
             ConnectionLost: The node can send nothing any more.
             anyio.ClosedResourceError: The publisher was closed.
         """
-        began = perf_counter()
         if self._is_closed:
             raise anyio.ClosedResourceError
         self._ros.raise_if_lost()
         made = self.message(message)
         if not self._part.has_room():
             await self._until(self._part.has_room, timeout, "readers have taken too little of")
-            began = perf_counter()
         if self._is_closed:
             raise anyio.ClosedResourceError
         self._part.publish_alone(made)
-        # A loop that publishes lets others have their turns. A turn costs as much as ten messages.
-        self._taken += perf_counter() - began
-        if self._taken > TURN:
-            self._taken = 0.0
+        # Not after each message: a turn costs as much as ten of them. The time between them counts,
+        # since the loop may work that long without any turn of others.
+        if perf_counter() - self._yielded > TURN:
             await anyio.lowlevel.checkpoint()
+            self._yielded = perf_counter()
 
     def message(self, value: T | dict[str, Any]) -> Any:
         """Return a value as the message that is published.

@@ -186,8 +186,9 @@ def _qos_text(qos: EndQos) -> str:
     durability = "" if qos.durability == "volatile" else "1"
     history = "" if qos.history == "keep_last" else "2"
     times = f"{_duration_text(qos.deadline)}:{_duration_text(qos.lifespan)}"
-    liveliness = "" if qos.liveliness == "automatic" else "3"
-    return f"{reliability}:{durability}:{history},{qos.depth}:{times}:{liveliness},,"
+    kind = "" if qos.liveliness == "automatic" else "3"
+    liveliness = f"{kind},{_duration_text(qos.lease)}"
+    return f"{reliability}:{durability}:{history},{qos.depth}:{times}:{liveliness}"
 
 
 def _duration_text(seconds: float) -> str:
