@@ -326,6 +326,17 @@ def test_many_incomplete_samples_take_bounded_memory_and_the_oldest_are_given_up
     assert partials.held == 0
 
 
+def test_the_first_of_the_largest_samples_takes_twice_its_size_at_most() -> None:
+    victim = Victim()
+    largest = RtpsLimits().sample
+    tracemalloc.start()
+    victim.receive(fragment(victim, 1, largest, 65_000))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert victim.node.participant.counters.over_limit == 0
+    assert largest < peak < 2 * largest + MIB
+
+
 def test_a_sample_that_exceeds_the_memory_for_incomplete_ones_is_not_started() -> None:
     partials = PartialSamples(RtpsLimits(incomplete=1000))
     home: dict[int, object] = {}

@@ -19,6 +19,8 @@ SMALL = 2**17
 """Bytes of a sample from which on the C library takes its memory from the system, and gives it back
 when it is freed, which costs as much as two copies. The GNU one keeps twice the largest block that
 was ever freed, so a block is made and freed for the first of larger samples."""
+LARGEST = 2**25 - 2**16
+"""Bytes of the largest block that it looks at, with its head and the rest of its last page."""
 
 
 class PartialSample:
@@ -104,7 +106,7 @@ class PartialSamples:
             return None
         if fragment.sample_size > self._largest:
             self._largest = fragment.sample_size
-            bytes(AT_ONCE * self._largest)
+            bytes(min(AT_ONCE * self._largest, LARGEST))
         partial = PartialSample(fragment, sender, home)
         if partial.size > self._limit:
             return None
