@@ -171,7 +171,7 @@ class Monitor(ActionListener):
     async def request(self, key: GoalKey) -> Any:
         """Return the goal itself, as it was sent; None if its server does not tell it.
 
-        Servers tell it while the goal is active. ROS 2 does not.
+        Servers tell it while they remember the goal. ROS 2 does not.
 
         Raises:
             ActionError: The server cannot be asked, or the goal cannot be read.
