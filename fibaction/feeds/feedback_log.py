@@ -26,7 +26,7 @@ from weakref import ref
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import GoalStream, GoalUpdate
-from fibaction.border.byte_budgets import ByteBudget
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
 from fibaction.feeds.feedback_window import (
     NOTHING,
     UNLIMITED,
@@ -235,6 +235,7 @@ class FeedbackCursor(GoalStream):
         "news",
         "own",
         "past_goal",
+        "past_held",
         "reads",
         "stamp",
     )
@@ -262,6 +263,8 @@ class FeedbackCursor(GoalStream):
         self.checkpoint: bytes | None = None
         self.past_goal: bytes | None = None
         """The payload of the goal, where a history has it and the log does not."""
+        self.past_held: CountedBytes | None = None
+        """The bytes of what a store has told of the goal for this stream."""
 
     @property
     def status(self) -> GoalStatus:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import time
 from collections.abc import AsyncGenerator
@@ -95,6 +96,24 @@ async def test_one_that_has_made_no_checkpoint_is_told_apart_from_any_other_goal
         goal = await ActionClient(server, PAINT).send_goal(1)
         await goal.outcome()
         assert (await server.feedback(goal.goal_id)).checkpoint is None
+
+
+async def test_the_bytes_that_followers_get_of_it_count_as_long_as_it_is_followed(
+    server: ActionServer[int, int, str],
+) -> None:
+    async with server:
+        budget = server._parts.registry.budget
+        before = budget.used
+        streams = [await server.feedback(OLD_ID, after=after) for after in (None, 0)]
+        # The checkpoint twice, and the goal for the one that reads it from its beginning.
+        assert budget.used - before == 2 * len(b"\x04") + len(PAINT.goal.encode(9))
+        budget.limit = budget.used - 1
+        told = await server.feedback(OLD_ID, after=0)
+        assert (told.checkpoint, told.goal) == (None, None)
+        assert (await told.outcome()).reason == "lost"
+        streams.clear()
+        gc.collect()
+        assert budget.used == before
 
 
 async def test_a_store_that_cannot_be_read_tells_the_end_without_the_checkpoint(

@@ -253,6 +253,8 @@ class PastGoals:
                 past = await self._find(cursor.goal_id)
         if past is not None and from_beginning:
             cursor.past_goal = past.goal
+        if size := len(cursor.past_goal or b"") + len(cursor.checkpoint or b""):
+            cursor.past_held = CountedBytes(self._budget, size)
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         """See `Endpoint.rerun`.
