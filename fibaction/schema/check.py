@@ -17,10 +17,10 @@ field. These dangers of a complete validator do not exist here:
   the official tests of JSON Schema.
 - `JsonSchema` reads a schema before its first use, and finds values of the wrong type, references
   to nothing, and references that lead only to themselves.
-- `Check` counts steps, by `fibaction.schema.check`. A step is the visit of one value with one
-  schema, one element of a collection of the schema, or some characters of a text. Real types need
-  few of them for each value of the data, but alternatives within alternatives may need
-  exponentially many. A check may take 20,000 steps, and 50 more for each value of the data.
+- `Check` counts steps (`CheckSteps`). A step is the visit of one value with one schema, one element
+  of a collection of the schema, or some characters of a text. Real types need few of them for each
+  value of the data, but alternatives within alternatives may need exponentially many. A check may
+  take 20,000 steps, and 50 more for each value of the data.
 - Schemas that are followed for one value may nest to `MAX_NESTING` levels, so that Python's limit
   of recursion is not met.
 

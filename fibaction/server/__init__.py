@@ -4,8 +4,9 @@
 makes the parts. `admission` decides on goals, and `cancels` on cancels. `registry` holds every goal
 and its rules, and `life` the table of a goal's phases. `scheduling` says which goal runs, waits or
 gives way; `execution` runs executors; `durability` writes to a store and takes over what it has.
-`goal_logs` tells followers and has the streams that they read; `watchers` call the watchers of a
-user, which `fibaction.border.watchers` defines. `functions` makes executors of plain functions.
+`goal_logs` tells followers and has the streams that they read, `log_keeper` keeps log records of
+executors; `watchers` call the watchers of a user, which `fibaction.border.watchers` defines.
+`functions` makes executors of plain functions.
 """
 
 from fibaction.server.execution.executor import Executor

@@ -4,7 +4,7 @@ Here are the settings and permissions of every transport over it. The author of 
 `WireTransport`, the base class, in `transport`, and `Line`, `Channel` and `StreamChannel`, of which
 a transport supplies one, in `channel`. `fibaction` imports this package, so it imports no more.
 
-Each rule has its module: `errors` the number of each error, `heartbeat` when a peer is dead,
+Each rule has its module: `errors` the number of each error, `link` when a peer is dead,
 `reconnect` when to connect again, `auth` tokens and permissions, and `ownership` the fate of goals
 whose client is gone.
 """

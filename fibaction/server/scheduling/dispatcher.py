@@ -49,7 +49,7 @@ class Dispatcher(Succession[GoalT]):
         key_slots: OpenKeySlots,
     ) -> None:
         """Start, interrupt and end these goals from now on, in tasks of this group. Call `changed`
-        when a place has become free. A limit that other servers have as well gets its places from
+        when a place has become free. A limit that other servers have as well gets its slots from
         `key_slots`.
 
         Raises:
