@@ -50,7 +50,7 @@ ANSWERED_SOON = 0.02
 """Seconds after which a sample without a heartbeat has one, unless it was answered."""
 SILENCE = 10.0
 """Seconds without an acknowledgement after which a reader keeps no samples back."""
-PATIENCE = 60.0
+LONGEST_SILENCE = 60.0
 """The same for a reader that asks meanwhile: most of what is sent to it may be lost."""
 MOST_ASKED, MOST_ASKED_BYTES = 256, MIB
 """Samples that such a reader keeps back at most after `SILENCE`, and their bytes."""
@@ -113,7 +113,7 @@ class ReaderProxy:
         if waits <= SILENCE or not self.has_unacknowledged(history.last):
             return False
         is_little = len(history) <= MOST_ASKED and history.bytes <= MOST_ASKED_BYTES
-        return waits > PATIENCE or now - self._asked_at > SILENCE or not is_little
+        return waits > LONGEST_SILENCE or now - self._asked_at > SILENCE or not is_little
 
     def write(self, number: int, sample: StoredSample, now: float) -> None:
         """Send a new sample, or a GAP if the reader does not get it."""
