@@ -126,6 +126,15 @@ class FeedbackLog(FeedbackWindow[FollowedT]):
         for cursor in self._followers():
             cursor.fail(error)
 
+    def lose_payload(self) -> None:
+        """Let go of the payload of a goal that has ended: followers have it by now, and the result
+        and the feedback are for them.
+        """
+        if self.payload is not None and self._held is not None:
+            size, self.payload = len(self.payload), None
+            self._rest -= size
+            self._held.resize(self._held.size - size)
+
     def lose_result(self) -> None:
         """Let go of the outcome and of the feedback of a goal that has ended: the server holds too
         many bytes. Streams that have not delivered the outcome raise `UnknownGoal`.

@@ -7,9 +7,10 @@ A goal is followed from its `FeedbackLog`. The record of an active goal has it (
 After the end of the goal, its log, with its feedback and the payload of the goal, is kept as long
 as its result (`_kept`), for a client that was away, or comes later. If the server holds too many
 bytes, such logs give way before any result or anything of an active goal does, the oldest first. A
-log is also kept by its followers (`HeldBytes` has a weak reference). Without a log, an ended goal
-is followed by a new one; so it has one log at a time, which loses the result if results take too
-many bytes.
+log is also kept by its followers (`HeldBytes` has a weak reference), without the payload: a client
+that keeps a stream which it has read to the end is not to count as one that has not read. Without a
+log, an ended goal is followed by a new one; so it has one log at a time, which loses the result if
+results take too many bytes.
 
 This carries out the effects `TELL_...`, by which clients learn of each step of a goal's life. With
 the end, the record gets its outcome, and the registry remembers it.
@@ -267,7 +268,9 @@ class GoalLogs:
             self._make_room()
         gone = self._registry.expire(now, FORGOTTEN_AT_ONCE)
         for goal_id in gone:
-            self._kept.pop(goal_id, None)
+            log = self._kept.pop(goal_id, None)
+            if log is not None:
+                log.lose_payload()
             self._tell_unknown(goal_id)
         return len(gone) == FORGOTTEN_AT_ONCE
 
@@ -277,4 +280,4 @@ class GoalLogs:
         """
         budget = self._registry.budget
         while budget.is_over and self._kept:
-            self._kept.popitem(last=False)
+            self._kept.popitem(last=False)[1].lose_payload()  # and its feedback, if nobody follows

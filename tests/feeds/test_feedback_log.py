@@ -744,6 +744,23 @@ def test_the_payload_and_the_feedback_of_an_ended_goal_count_until_its_log_is_go
     assert budget.used == 0
 
 
+def test_a_log_that_loses_its_payload_counts_the_rest() -> None:
+    budget = ByteBudget(1000)
+    goal = GoalFacts(GOAL_ID, 7)
+    goal.held = CountedBytes(budget, 5)
+    log = FeedbackLog(goal, window=10, budget=budget, payload=bytes(100))
+    stream = log.follow()
+    log.append(bytes(30))
+    goal.outcome = OUTCOME
+    log.finish()
+    for _ in range(2):
+        log.lose_payload()
+        assert (budget.used, stream.goal) == (35 + KEPT_MESSAGE, None)
+    assert len(stream.take()) == 1
+    del log, stream
+    assert budget.used == 5
+
+
 def test_a_log_that_loses_its_result_has_nothing_left_and_its_streams_end_with_an_error() -> None:
     budget = ByteBudget(1000)
     goal = GoalFacts(GOAL_ID, 7)

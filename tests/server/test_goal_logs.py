@@ -109,6 +109,29 @@ async def test_what_was_sent_can_be_read_as_long_as_the_result_and_gives_way_bef
         assert ends == [GoalStatus.SUCCEEDED] * 4
 
 
+@in_virtual_time()
+async def test_a_client_that_keeps_its_streams_does_not_keep_what_it_has_sent() -> None:
+    async def one_that_ends() -> GoalStream:
+        stream = await server.send_goal(GoalID.random(), packed(0), feedback=False)
+        await stream.outcome()
+        return stream
+
+    async with ActionServer(FIBONACCI, fibonacci, result_timeout=5) as server:
+        budget, results = budget_of(server), server._parts.registry.results
+        expired = await one_that_ends()
+        assert expired.goal == packed(0)
+        await anyio.sleep(5 + EXPIRY_STEP)
+        size = len((await expired.outcome()).result or b"")
+        assert expired.goal is None
+        assert (budget.used, results.unread_size) == (size, size)
+        given_way = await one_that_ends()
+        budget.limit = 3 * size
+        last = await one_that_ends()
+        assert [one.goal for one in (expired, given_way, last)] == [None] * 3
+        assert budget.used == 3 * size
+        assert [(await one.outcome()).reason for one in (expired, given_way, last)] == [""] * 3
+
+
 @pytest.mark.promise("FEEDBACK-11")
 @in_virtual_time()
 async def test_feedback_stays_as_long_as_the_result_and_gives_way_before_any_result() -> None:
