@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import uuid
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack
@@ -16,6 +17,7 @@ from fibaction import Action, ActionServer, GoalHandle, GoalStatus, connect, ser
 from fibaction.types.action import ActionInfo
 from tests.support.bridging import bridge
 from tests.support.ports import free_port
+from tests.support.ros_domain import DOMAINS
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
@@ -68,7 +70,7 @@ async def found(connection: Any, name: str) -> ActionInfo:
     [
         ("zenoh://", "dds://"),
         ("dds://", "zenoh://"),
-        ("dds://", "dds://?domain_id=101"),
+        ("dds://", "dds://?domain_id={domain}"),
         ("zenoh://", "tcp://127.0.0.1:{port}"),
         ("ros2://?via=zenoh", "ros2://?via=dds"),
     ],
@@ -77,7 +79,7 @@ async def test_an_action_is_used_over_another_middleware_without_its_files(
     robot: str, near: str, folder: str
 ) -> None:
     space = f"/t{uuid.uuid4().hex}"
-    near = near.format(port=free_port())
+    near = near.format(port=free_port(), domain=(int(os.environ["ROS_DOMAIN_ID"]) + 1) % DOMAINS)
     action = Action("paint", goal=Spots, feedback=Painted, result=Done, type_name=TYPE)
     more = f"{'&' if '?' in robot else '?'}namespace={space}"
     with anyio.fail_after(PATIENCE):

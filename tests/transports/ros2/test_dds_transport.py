@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import uuid
+from collections.abc import AsyncGenerator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,10 @@ import fibaction_transports.ros2
 from fibaction import (
     Action,
     ActionServer,
+    ConnectionLost,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
     InvalidURL,
     ServerNotFound,
     TransportError,
@@ -23,11 +28,12 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import ForwardingEndpoint, StatusStream
 from fibaction.border.urls import transport_for
 from fibaction.schema.template import Template
 from fibaction_transports.ros2 import DdsTransport, ros2_transport
 from fibaction_transports.ros2.ros_transport import RosTransport
+from fibaction_transports.ros2.server import action_server
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.article import Numbers, Progress, article
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
@@ -264,3 +270,69 @@ async def test_an_endpoint_in_ros_is_served_again_with_the_type_that_it_has() ->
             serve(ForwardingEndpoint(connection.endpoint(FIBONACCI)), second),
         ):
             assert await call(second, FIBONACCI, Goal(5)) == Result([0, 1, 1, 2, 3, 5])
+
+
+class LostAfterOne:
+    """The statuses of an endpoint that is lost after the first."""
+
+    def __init__(self, statuses: StatusStream) -> None:
+        self._statuses = statuses
+        self._is_told = False
+
+    def __enter__(self) -> LostAfterOne:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._statuses.close()
+
+    async def receive(self) -> GoalInfo | None:
+        if self._is_told:
+            raise ConnectionLost("it is gone")
+        self._is_told = True
+        return await self._statuses.receive()
+
+
+async def test_a_goal_that_is_told_anew_before_it_is_followed_is_followed_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(action_server, "RETRY_PAUSE", 0.0)
+    may_run, asked_twice = anyio.Event(), anyio.Event()
+    asked: list[GoalID] = []
+
+    async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Any, None]:
+        await may_run.wait()
+        async for each in fibonacci(goal):
+            yield each
+
+    server = ActionServer(FIBONACCI, execute)
+    status, feedback = server.status, server.feedback
+    lost: Iterator[type[LostAfterOne]] = iter([LostAfterOne])
+
+    async def statuses() -> Any:
+        return next(lost, lambda those: those)(await status())
+
+    async def followed(goal_id: GoalID, **more: Any) -> Any:
+        asked.append(goal_id)
+        if len(asked) == 2:
+            asked_twice.set()
+        await asked_twice.wait()
+        return await feedback(goal_id, **more)
+
+    monkeypatch.setattr(server, "status", statuses)
+    monkeypatch.setattr(server, "feedback", followed)
+    url = f"dds://?namespace=/t{uuid.uuid4().hex}"
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(server, "inproc://told", url) as (here, there),
+            connect(here, FIBONACCI) as mine,
+            connect(there, FIBONACCI) as theirs,
+        ):
+            goal = await mine.send_goal(Goal(4))
+            attached = await theirs.attach(goal.goal_id)
+            await asked_twice.wait()
+            may_run.set()
+            heard = [one async for one in attached.feedback]
+            assert await attached.result() == Result([0, 1, 1, 2, 3])
+            assert await theirs.call(Goal(1)) == Result([0, 1])
+    assert asked == [goal.goal_id] * 2
+    assert len(heard) == 3

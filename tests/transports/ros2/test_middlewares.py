@@ -23,6 +23,7 @@ from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and t
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.ports import free_port
 from tests.support.processes import PATIENCE
+from tests.support.ros_domain import DOMAINS
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
@@ -105,7 +106,8 @@ async def test_zenoh_says_whether_a_router_answers(
     domain, port = int(os.environ["ROS_DOMAIN_ID"]), free_port()
     nowhere = f"zenoh://127.0.0.1:{port}?{QUIET}"
     alone = await diagnosed(nowhere)
-    beside = await until(lambda found: found.facts["zenoh_routers"], "zenoh://?domain_id=101")
+    other = (domain + 1) % DOMAINS
+    beside = await until(lambda found: found.facts["zenoh_routers"], f"zenoh://?domain_id={other}")
     async with connect(nowhere) as connection:
         assert await connection.actions() == []
 
@@ -113,7 +115,7 @@ async def test_zenoh_says_whether_a_router_answers(
     assert not beside.is_found
     told = NO_ROUTER.format(f"tcp/127.0.0.1:{port}")
     assert alone.advice == (told,)
-    assert beside.advice == (f"{NO_NODES} ROS_DOMAIN_ID 101 there, too?",)
+    assert beside.advice == (f"{NO_NODES} ROS_DOMAIN_ID {other} there, too?",)
     assert (alone.facts["domain"], alone.facts["zenoh_routers"]) == (domain, [])
     assert len(beside.facts["zenoh_routers"]) == 1
     assert caplog.messages == [f"no action was found: {told}"]

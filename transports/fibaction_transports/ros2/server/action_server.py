@@ -317,7 +317,8 @@ class RosActionServer:
                 self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
             await forwarder.hand_over(response)
         finally:
-            del self._forwarders[goal_id]
+            if self._forwarders.get(goal_id) is forwarder:
+                del self._forwarders[goal_id]
             for info in forwarder.late:
                 if info.status is GoalStatus.UNKNOWN or goal_id not in self._statuses:
                     self._statuses.update(info)
@@ -353,7 +354,10 @@ class RosActionServer:
         except Exception as exc:
             self._log_failure(f"no feedback of goal {goal_id}", exc)
         else:
-            await self._run_forwarder(*self._forwarded(stream))
+            if goal_id in self._forwarders:  # its status was told anew, or it came through ROS
+                stream.close()
+            else:
+                await self._run_forwarder(*self._forwarded(stream))
 
     def _log_failure(self, what: str, exc: Exception) -> None:
         """Log an exception of the endpoint. One that is not an `ActionError` is a bug of the
