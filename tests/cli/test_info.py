@@ -14,6 +14,7 @@ from fibaction.cli.process.exit_codes import Failure
 from fibaction.cli.verbs.info import print_info
 from fibaction.testing import ScriptedServer
 from fibaction.words.goals import ActionPeers
+from fibaction.words.intake import Intake, IntakeMode
 from tests.cli.conftest import Invoke, Run
 from tests.cli.robot import servers
 
@@ -33,6 +34,22 @@ def test_info_as_json_has_the_schemas(invoke: Invoke, tcp: str) -> None:
     )
     assert '"goal"' not in invoke("info", "wait", "--json", "-c", url=tcp).output
     assert invoke("info", "-t", "wait", url=tcp).output.startswith("Action: /wait\n")
+
+
+def test_of_a_server_that_tells_no_schedule_info_and_list_tell_how_it_takes_goals(
+    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def intakes(*_: object) -> dict[str, Intake]:
+        return {"wait": Intake(IntakeMode.HOLD)}
+
+    for verb in ("info", "list"):
+        monkeypatch.setattr(f"fibaction.cli.verbs.{verb}.intakes_at", intakes)
+    told = invoke("info", "wait", url=tcp).output
+    assert "\nIntake: the action is paused\n" in told
+    assert "Schedule" not in told
+    lines = invoke("list", "--json", url=tcp).output.splitlines()
+    [listed] = [one for one in lines if '"wait"' in one]
+    assert listed.endswith(',"intake":"hold"}')
 
 
 @pytest.fixture

@@ -88,6 +88,19 @@ async def test_who_follows_it_is_told_its_checkpoint_until_it_runs_again(
                 assert (await server.feedback(OLD_ID, after=after)).checkpoint is None
 
 
+async def test_of_a_server_that_holds_too_many_bytes_its_reason_is_told_without_its_checkpoint(
+    server: ActionServer[int, int, str],
+) -> None:
+    with anyio.fail_after(30):
+        async with server:
+            budget = server._parts.registry.budget
+            budget.used += budget.limit + 1
+            stream = await server.feedback(OLD_ID)
+            assert stream.checkpoint is None
+            assert (await stream.outcome()).reason == "lost"
+            budget.used -= budget.limit + 1
+
+
 async def test_one_that_has_made_no_checkpoint_is_told_apart_from_any_other_goal(
     tmp_path: Path,
 ) -> None:

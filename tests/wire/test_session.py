@@ -841,6 +841,15 @@ async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() 
         assert (await observer.ask(follow(None, own=False), Following)).labels == {"order": "17"}
 
 
+async def test_a_stream_of_a_client_knows_the_checkpoint_that_it_was_told() -> None:
+    async with reached() as (connection, server):
+        endpoint = endpoint_of(connection)
+        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
+            asked = await server.hear(Follow)
+            await server.say(Following(asked.id, 7, EXECUTING, False, 3, checkpoint=b"4"))
+            assert (await following.answer()).checkpoint == b"4"
+
+
 async def test_a_stream_of_a_client_knows_the_parent_and_the_labels_that_it_was_told() -> None:
     async with reached() as (connection, server):
         endpoint = endpoint_of(connection)

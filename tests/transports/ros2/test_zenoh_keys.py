@@ -141,6 +141,13 @@ def test_a_token_that_is_not_of_ros_is_ignored(token: str) -> None:
     graph.remove(token)
 
 
+def test_a_duration_that_is_none_counts_as_without_an_end() -> None:
+    found = read_token(GOALS.replace("::,10:,:,:,,", "::,10:x,5:,:,,"))
+    assert found is not None
+    assert found.qos is not None
+    assert found.qos.deadline == math.inf
+
+
 def test_a_token_of_a_later_release_may_have_more_fields() -> None:
     found = read_token(f"{GOALS}/backends:cpu:1")
     assert found is not None

@@ -108,3 +108,14 @@ async def test_an_action_that_cannot_be_paused_says_so_in_its_list_and_refuses_t
         refused = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
         assert refused.status == 409
         assert refused.json["detail"] == f"the action 'fibonacci' stays as it is: {NO_LEVERS}"
+
+
+async def test_an_action_that_does_not_tell_how_it_takes_goals_is_listed_all_the_same() -> None:
+    class Silent(ForwardingEndpoint):
+        async def intake(self) -> Intake:
+            raise ServerNotFound("no answer")
+
+    async with new_server() as server, serve(Silent(server), HTTP) as (url,):
+        [listed] = (await fetch(url, "GET", "/actions")).json
+        assert listed["name"] == "fibonacci"
+        assert not listed.keys() & {"away", "intake", "no_levers", "schedule"}
