@@ -298,9 +298,6 @@ class RosActionServer:
         try:
             # A goal that ends at once has ended then, and everything is taken by one look.
             await anyio.lowlevel.checkpoint()
-            # A client that does not know of the goal yet would ignore its feedback.
-            while goal_id in self._deciding:
-                await self._progress.wait()
             try:
                 outcome = await forwarder.outcome()
             except Exception as exc:
@@ -317,8 +314,7 @@ class RosActionServer:
                 self._statuses.update(GoalInfo(goal_id, forwarder.stream.stamp, status))
             await forwarder.hand_over(response)
         finally:
-            if self._forwarders.get(goal_id) is forwarder:
-                del self._forwarders[goal_id]
+            self._forwarders.pop(goal_id, None)
             for info in forwarder.late:
                 if info.status is GoalStatus.UNKNOWN or goal_id not in self._statuses:
                     self._statuses.update(info)
