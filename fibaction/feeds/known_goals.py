@@ -13,7 +13,7 @@ ANSWERING = 5.0
 
 
 async def statuses_soon(endpoint: Endpoint) -> StatusStream:
-    """Return the statuses of all goals of an action, for a list that somebody waits for.
+    """Return the statuses of all goals of an action, for a list that is waited for.
 
     A server that is frozen counts as away only after some heartbeats, and calls to it wait for it
     to come back.

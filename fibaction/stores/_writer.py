@@ -183,7 +183,7 @@ class Writer:
         return command.error
 
     async def _ask(self, look: Callable[[], FoundT]) -> FoundT:
-        """Return what a function finds. Its error concerns nobody else: later writes go on."""
+        """Return what a function finds. Its error ends no write: later ones go on."""
         answers: list[FoundT] = []
         errors: list[StoreError] = []
 

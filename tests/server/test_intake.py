@@ -10,6 +10,7 @@ from typing import Any
 import anyio
 import msgspec
 import pytest
+from anyio.abc import TaskGroup
 
 from fibaction import (
     Action,
@@ -337,6 +338,19 @@ async def test_a_change_that_is_kept_is_followed_although_its_operator_has_left(
                 await driver.client.send_goal(1)
 
 
+async def draining(server: ActionServer[Any, Any, Any], tasks: TaskGroup) -> anyio.Event:
+    """Drain a server until it waits, and return the event that tells that it has drained."""
+    is_drained = anyio.Event()
+
+    async def drain() -> None:
+        await server.drain(timeout=600)
+        is_drained.set()
+
+    tasks.start_soon(drain)
+    await anyio.wait_all_tasks_blocked()
+    return is_drained
+
+
 @pytest.mark.parametrize("at_stop", ["abort", "keep", None])
 @pytest.mark.parametrize("pauses_late", [False, True])
 async def test_a_drain_waits_for_no_goal_that_a_pause_keeps_from_beginning(
@@ -351,14 +365,7 @@ async def test_a_drain_waits_for_no_goal_that_a_pause_keeps_from_beginning(
             goals = [await driver.client.send_goal(number) for number in (2, 3)]
             if not pauses_late:
                 await server.change_intake(HOLD)
-            is_drained = anyio.Event()
-
-            async def drain() -> None:
-                await server.drain(timeout=600)
-                is_drained.set()
-
-            tasks.start_soon(drain)
-            await anyio.wait_all_tasks_blocked()
+            is_drained = await draining(server, tasks)
             assert not is_drained.is_set()
             if pauses_late:
                 await server.change_intake(HOLD)
@@ -382,14 +389,7 @@ async def test_a_pause_ends_a_drain_that_waits_for_goals_that_have_not_begun_onl
             suspect: Any = object()
             server._parts.runs.suspects.add(suspect, server._parts.runs)
             await driver.client.send_goal(1)
-            is_drained = anyio.Event()
-
-            async def drain() -> None:
-                await server.drain(timeout=600)
-                is_drained.set()
-
-            tasks.start_soon(drain)
-            await anyio.wait_all_tasks_blocked()
+            is_drained = await draining(server, tasks)
             assert not is_drained.is_set()
             await server.change_intake(HOLD)
             await is_drained.wait()

@@ -162,6 +162,19 @@ async def test_a_participant_that_answers_no_questions_about_types_is_asked_none
         assert one.ask_types(other.participant.prefix, [bytes(TYPE_ID_SIZE)]) == 0
 
 
+def noted(monkeypatch: pytest.MonkeyPatch, content: bytes) -> list[int]:
+    """Note how often each datagram that is sent from now on has a content."""
+    sent: list[int] = []
+    send = ParticipantSockets.send
+
+    def note(self: ParticipantSockets, datagram: bytes, address: Any) -> None:
+        sent.append(datagram.count(content))
+        send(self, datagram, address)
+
+    monkeypatch.setattr(ParticipantSockets, "send", note)
+    return sent
+
+
 @pytest.mark.anyio
 async def test_samples_of_one_turn_share_datagrams(
     domain: int, monkeypatch: pytest.MonkeyPatch
@@ -174,14 +187,7 @@ async def test_samples_of_one_turn_share_datagrams(
         await here.wait(EndpointMatched)
         one.write(writer, payload("first"))
         await there.wait(SampleReceived)
-        sent: list[int] = []
-        send = ParticipantSockets.send
-
-        def note(self: ParticipantSockets, datagram: bytes, address: Any) -> None:
-            sent.append(datagram.count(b"of one turn"))
-            send(self, datagram, address)
-
-        monkeypatch.setattr(ParticipantSockets, "send", note)
+        sent = noted(monkeypatch, b"of one turn")
         for _ in range(20):
             one.write(writer, payload("of one turn"))
         assert sum(sent) == 0
@@ -207,14 +213,7 @@ async def test_a_sample_that_is_alone_leaves_at_once_if_none_was_written_just_be
         await here.wait(EndpointMatched)
         one.write(writer, payload("first"))
         await there.wait(SampleReceived)
-        sent: list[int] = []
-        send = ParticipantSockets.send
-
-        def note(self: ParticipantSockets, datagram: bytes, address: Any) -> None:
-            sent.append(datagram.count(b"alone"))
-            send(self, datagram, address)
-
-        monkeypatch.setattr(ParticipantSockets, "send", note)
+        sent = noted(monkeypatch, b"alone")
         monkeypatch.setattr(network_module, "APART", apart)
         one.write(writer, payload("alone"), is_alone=True)
         assert sum(sent) == at_once
