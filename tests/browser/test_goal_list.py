@@ -50,6 +50,7 @@ def test_of_three_hundred_active_goals_a_frame_lays_out_once_and_writes_little(
     page.evaluate(SEND, ["fibonacci", GOALS, f'{{"order": {LONG}}}'])
     expect(rows(page)).to_have_count(GOALS)
     expect(rows(page).get_by_text("executing")).to_have_count(GOALS)
+    expect(rows(page).locator(".request").get_by_text(LONG)).to_have_count(GOALS)  # all was read
     session = page.context.new_cdp_session(page)
     session.send("Performance.enable")
 
