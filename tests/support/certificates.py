@@ -9,8 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import trustme
-
 HOST = "127.0.0.1"
 """The default host of `pems`."""
 
@@ -30,6 +28,8 @@ def pems(host: str = HOST) -> Pems:
 
     Each host has an authority of its own.
     """
+    import trustme  # of 25 MB, which processes whose memory is measured would have without TLS
+
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder)
     authority = trustme.CA()
