@@ -18,11 +18,6 @@ COUNT = Action("count", goal=int, feedback=int, result=str)
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> object:
-    return request.param
-
-
 @pytest.fixture
 def lines(caplog: pytest.LogCaptureFixture) -> list[tuple[str, str, str]]:
     """Return a list that gets the message, the goal and the action of each record of this test."""

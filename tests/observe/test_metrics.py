@@ -16,7 +16,6 @@ import pytest
 from fibaction import (
     ActionClient,
     ActionServer,
-    GoalHandle,
     GoalID,
     GoalInfo,
     GoalKept,
@@ -28,8 +27,8 @@ from fibaction import (
 )
 from fibaction.observe.metrics import Metrics
 from fibaction.words.errors import AuthenticationFailed
-from tests.support.executors import Items
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.server.held import waits
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.memory_store import MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -39,17 +38,6 @@ PROMTOOL = shutil.which("promtool") or shutil.which(
 DASHBOARD = Path(__file__).parents[2] / "examples" / "grafana_dashboard.json"
 
 asynchronous = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
-async def waits(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([])
-    await anyio.sleep_forever()
-    yield Result([])
 
 
 def value(metrics: Metrics, name: str, **labels: str) -> float | None:

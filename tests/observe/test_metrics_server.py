@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import urllib.error
 import urllib.request
-from typing import Any
 
 import anyio
 import pytest
@@ -17,11 +16,6 @@ from fibaction.observe.metrics_server import STUCK, serve_metrics
 from tests.support.fibonacci import FIBONACCI, fibonacci
 
 asynchronous = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 def answer(url: str, accept: str = "*/*") -> tuple[int, str, str]:

@@ -38,6 +38,7 @@ from fibaction.border.watchers import NO_SPAN
 from fibaction.observe.otel import Tracing
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.meta import DETACHED
+from tests.server.held import waits
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -48,20 +49,9 @@ CLIENT, SERVER = "CLIENT: goal fibonacci", "SERVER: goal fibonacci"
 PAYLOAD = FIBONACCI.goal.encode(Goal(2))
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @pytest.fixture
 def spans() -> Spans:
     return Spans()
-
-
-async def waits(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([])
-    await anyio.sleep_forever()
-    yield Result([])
 
 
 def reject_large(goal: Goal) -> None:

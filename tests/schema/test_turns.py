@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import gc
 from threading import current_thread, main_thread
-from typing import Any
 
 import anyio
 import anyio.from_thread
@@ -12,11 +11,6 @@ from anyio.lowlevel import checkpoint
 from fibaction.schema.turns import SMALL, Pause, in_turn
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 def is_main(pause: Pause | None) -> bool:

@@ -34,6 +34,13 @@ class Held:
         yield Result([goal.request.order])
 
 
+async def waits(goal: GoalHandle[Goal]) -> Items:
+    """Report once, and wait for ever."""
+    yield Feedback([goal.request.order])
+    await anyio.sleep_forever()
+    yield Result([])
+
+
 def waited_for(
     offered: GoalStream | Coroutine[Any, Any, GoalStream],
 ) -> Coroutine[Any, Any, GoalStream]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Coroutine
 from typing import Any
 
@@ -112,27 +111,6 @@ async def test_a_goal_that_runs_is_followed_when_it_is_sent_again_while_the_serv
             assert caught.value.code is RejectionCode.STOPPING
             go.set()
         assert (await again.outcome()).status is GoalStatus.ABORTED
-
-
-@pytest.mark.promise("DEADLINE-4")
-async def test_the_executor_gets_the_first_deadline_of_its_goal() -> None:
-    deadlines: list[float] = []
-
-    async def executor(goal: GoalHandle[Goal]) -> Items:
-        deadlines.append(goal.deadline)
-        with anyio.CancelScope(deadline=goal.deadline - 1) as scope:
-            await anyio.lowlevel.checkpoint()
-        assert not scope.cancelled_caught
-        yield Result([])
-
-    async with ActionServer(FIBONACCI, executor) as server:
-        goal_id, before = GoalID.random(), anyio.current_time()
-        stream = await server.send_goal(goal_id, packed(1), timeout=100)
-        await server.send_goal(goal_id, packed(1), timeout=1000)
-        await stream.outcome()
-        await (await server.send_goal(GoalID.random(), packed(1))).outcome()
-    assert before + 100 <= deadlines[0] <= before + 200
-    assert deadlines[1:] == [math.inf]
 
 
 @pytest.mark.promise("FEEDBACK-13")

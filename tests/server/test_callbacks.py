@@ -12,8 +12,8 @@ from fibaction import ActionServer, GoalHandle, GoalID, GoalStatus
 from fibaction.server.admission.callbacks import CANCELED_ELSEWHERE, SERVER_STOPPING, GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
 from fibaction.words.errors import CancelRejected, GoalRejected
-from tests.support.executors import Items
-from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
+from tests.server.held import waits
+from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 
 pytestmark = pytest.mark.asyncio
 
@@ -247,10 +247,6 @@ async def test_an_on_goal_that_would_wait_for_itself_rejects_and_says_so(
 async def test_an_on_cancel_that_cancels_its_goal_again_rejects_and_says_so() -> None:
     async def on_cancel(goal: GoalHandle[Goal]) -> None:
         await server.cancel_goals(goal.goal_id)
-
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        await anyio.sleep_forever()
-        yield Result([])
 
     with anyio.fail_after(5):
         async with ActionServer(FIBONACCI, waits, on_cancel=on_cancel) as server:

@@ -9,13 +9,11 @@ import pytest
 
 from fibaction import (
     ActionServer,
-    CancelCode,
     GoalHandle,
     GoalID,
     GoalRejected,
     GoalStatus,
 )
-from fibaction.border.abc import GoalStream
 from tests.server.held import Held, packed, start_many, turns_during
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.matching import End
@@ -26,35 +24,6 @@ pytestmark = pytest.mark.anyio
 
 def agree(goal: Goal) -> None:
     """A callback that has nothing against it."""
-
-
-@pytest.mark.promise("CANCEL-21")
-async def test_a_goal_that_is_being_decided_is_canceled_by_its_id_once_it_is_accepted() -> None:
-    decide = anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        await decide.wait()
-
-    async with ActionServer(FIBONACCI, fibonacci, on_goal=on_goal) as server:
-        goal_id = GoalID.random()
-        answers: list[Any] = []
-
-        async def send() -> None:
-            answers.append(await server.send_goal(goal_id, packed(2)))
-
-        async def cancel() -> None:
-            answers.append(await server.cancel_goals(goal_id))
-
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
-            await anyio.wait_all_tasks_blocked()
-            tasks.start_soon(cancel)
-            await anyio.wait_all_tasks_blocked()
-            assert answers == []
-            decide.set()
-        stream, answer = sorted(answers, key=lambda one: not isinstance(one, GoalStream))
-        assert (await stream.outcome()).status in (GoalStatus.CANCELED, GoalStatus.SUCCEEDED)
-        assert answer.return_code in (CancelCode.NONE, CancelCode.GOAL_TERMINATED)
 
 
 @pytest.mark.promise("CANCEL-13")

@@ -23,7 +23,7 @@ from fibaction import (
     SqliteStore,
 )
 from fibaction.border.goal_store import KeySlots, NoFleet
-from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
+from fibaction.server.scheduling.scheduled_goals import Act, Order
 from fibaction.server.scheduling.shared_scheduler import NO_KEY, FleetScheduler, portable
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
@@ -150,14 +150,6 @@ def test_the_next_key_asks_when_a_granted_place_finds_no_goal() -> None:
     one.offer(B, b"y")
     assert [order.act for order in one.grant(b"x", now=2)] == [Act.END]
     assert one.places.numbers == {b"x": (0, 0), b"y": (0, 1)}
-
-
-def test_a_full_queue_says_how_many_wait_at_this_worker() -> None:
-    one = Played(queue=1)
-    one.offer(A)
-    with pytest.raises(Busy, match=r"^busy: 1 of 1 waiting at this worker$"):
-        one.offer(B)
-    assert one.x() == (0, 1)
 
 
 # The settings
@@ -289,18 +281,6 @@ async def test_a_place_may_be_granted_while_the_acceptance_is_written(worker: Wo
             assert worker.places.numbers == {b"": (1, 0)}
             worker.store.release()
         assert results == ["up"]
-
-
-@pytest.mark.anyio
-@in_time
-async def test_a_goal_that_is_canceled_while_it_waits_asks_no_longer(worker: Worker) -> None:
-    async with worker.server(Schedule(**ONE)) as server:
-        sent = await ActionClient(server, MOVE).send_goal("up")
-        await sent.cancel()
-        assert (await sent.outcome()).status is GoalStatus.CANCELED
-        assert worker.places.numbers == {b"": (0, 0)}
-        worker.places.granted(b"")
-        assert worker.places.numbers == {b"": (0, 0)}
 
 
 @pytest.mark.anyio

@@ -569,17 +569,24 @@ async def test_a_goal_whose_fate_was_undecided_at_a_stop_is_decided_on_after_the
     ("answer", "reason"),
     [
         (True, "recovery failed: TypeError: it returned True: return None, or raise GoalAborted"),
+        (ValueError("no idea"), "recovery failed: ValueError: no idea"),
         (GoalAborted("dry"), "dry"),
         (GoalAborted("dry", result=7), "recovery failed: TypeError: its result is str, not 7"),
         (GoalAborted("dry", result="\ud800"), "recovery failed: ValueError: text with half a "),
     ],
-    ids=["a value", "no result", "a result of another type", "a result that cannot be sent"],
+    ids=[
+        "a value",
+        "another error",
+        "no result",
+        "a result of another type",
+        "a result that cannot be sent",
+    ],
 )
 async def test_a_function_that_answers_something_else_ends_the_goal(
     answer: object, reason: str
 ) -> None:
     def decide(goal: GoalHandle[int]) -> Any:
-        if isinstance(answer, GoalAborted):
+        if isinstance(answer, Exception):
             raise answer
         return answer
 
@@ -674,30 +681,6 @@ async def test_calls_that_wait_for_a_store_that_is_too_slow_may_be_made_again() 
             await anyio.sleep(1)
             await server.stop()
         store.release()
-
-
-async def test_a_task_that_waits_for_a_successor_ends_with_its_goal() -> None:
-    ended: list[str] = []
-
-    async def hand_over(goal: GoalHandle[int]) -> None:
-        with pytest.raises(RuntimeError, match="gets no successor"):
-            await goal.wait_for_successor()
-        ended.append("waits no longer")
-
-    async with anyio.create_task_group() as tasks:
-
-        async def short(goal: GoalHandle[int]) -> Painting:
-            tasks.start_soon(hand_over, goal)
-            await anyio.sleep(1)
-            yield "done"
-
-        schedule = Schedule(concurrency=1, when_full="preempt", handover=5)
-        async with ActionServer(PAINT, short, store=MemoryStore(), schedule=schedule) as server:
-            with anyio.fail_after(100):
-                await client_of(server).call(1)
-                await anyio.sleep(1)
-        tasks.cancel_scope.cancel()
-    assert ended == ["waits no longer"]
 
 
 @pytest.mark.parametrize("at_stop", ["keep", "abort"])

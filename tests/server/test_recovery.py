@@ -10,7 +10,7 @@ import re
 from collections.abc import AsyncGenerator
 from contextlib import aclosing, asynccontextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import anyio
 import pytest
@@ -165,20 +165,6 @@ async def test_a_goal_whose_acceptance_was_told_is_there_after_a_kill(machine: M
     goal_id = await begun(machine, Painter(stop_at=1))
     async with machine.life(Painter()) as client:
         assert await outcome_of(client, goal_id) == RESTARTED
-
-
-@pytest.mark.promise("KEEP-1")
-@pytest.mark.parametrize("sync", ["full", "normal"])
-async def test_a_store_keeps_goals_with_either_setting_for_the_disk(
-    tmp_path: Path, sync: Literal["full", "normal"]
-) -> None:
-    path = tmp_path / "goals.db"
-    async with ActionServer(PAINT, Painter(), store=SqliteStore(path, sync=sync)) as server:
-        goal = await ActionClient(server, PAINT).send_goal(1)
-        assert await goal.result() == "painted 1"
-    async with ActionServer(PAINT, Painter(), store=SqliteStore(path, sync=sync)) as server:
-        outcome = await outcome_of(ActionClient(server, PAINT), goal.goal_id)
-    assert outcome.result == "painted 1"
 
 
 @pytest.mark.promise("KEEP-1")
@@ -358,13 +344,6 @@ async def test_a_checkpoint_of_another_type_is_an_error_of_the_executor(
     assert outcome.reason.startswith("TypeError: ")
 
 
-async def test_without_a_store_a_checkpoint_is_not_kept() -> None:
-    painter = Painter()
-    async with ActionServer(PAINT, painter) as server:
-        assert await ActionClient(server, PAINT).call(2) == "painted 2"
-    assert painter.runs == [Run(1, None)]
-
-
 # IDs
 
 
@@ -383,30 +362,6 @@ async def test_a_goal_that_is_sent_again_after_a_kill_gets_the_first_answer(
         with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
             await client.send_goal(3, goal_id=first.goal_id)
     assert len(painter.runs) == 1
-
-
-@pytest.mark.promise("KEEP-5")
-async def test_a_goal_that_runs_again_and_is_sent_again_is_the_same_goal(machine: Machine) -> None:
-    painter = Painter(stop_at=3)
-    goal_id = await begun(machine, painter, recovery="rerun")
-    async with machine.life(painter, recovery="rerun") as client:
-        again = await client.send_goal(4, goal_id=goal_id)
-        with pytest.raises(GoalRejected, match="its ID is in use by another goal"):
-            await client.send_goal(3, goal_id=goal_id)
-        assert await again.result() == "painted 4"
-    assert len(painter.runs) == 2
-
-
-@pytest.mark.promise("KEEP-5")
-async def test_only_the_newest_results_are_kept_over_a_restart(machine: Machine) -> None:
-    async with machine.life(Painter(), max_results=2) as client:
-        goals = [await client.send_goal(number) for number in range(4)]
-        for goal in goals:
-            await goal.outcome()
-    async with machine.life(Painter(), max_results=2) as client:
-        known = {info.goal_id for info in await client.goals()}
-    assert len(known) == 2
-    assert known <= {goal.goal_id for goal in goals}
 
 
 # What becomes of goals that were active
@@ -439,19 +394,6 @@ async def test_your_function_ends_a_goal_with_a_reason_and_a_result(machine: Mac
         outcome = await outcome_of(client, goal_id)
     assert outcome == End(GoalStatus.ABORTED, "painted 2", "the paint is dry")
     assert len(painter.runs) == 1
-
-
-@pytest.mark.promise("KEEP-6")
-async def test_a_function_that_fails_ends_the_goal_and_not_the_server(machine: Machine) -> None:
-    def fail(goal: GoalHandle[int]) -> None:
-        raise ValueError("no idea")
-
-    goal_id = await begun(machine, Painter(stop_at=2))
-    async with machine.life(Painter(), recovery=fail) as client:
-        outcome = await outcome_of(client, goal_id)
-        assert await client.call(1) == "painted 1"
-    assert outcome.status is GoalStatus.ABORTED
-    assert outcome.reason.endswith("ValueError: no idea")
 
 
 @pytest.mark.promise("KEEP-6")
@@ -716,23 +658,6 @@ async def test_if_nothing_can_be_written_nothing_is_told_and_the_server_stops(
     machine: Machine,
 ) -> None:
     store = CutStore()
-    painter = Painter()
-    with anyio.fail_after(10), pytest.raises(StoreError, match="broken"):
-        async with serve(ActionServer(PAINT, painter, store=store), machine.url):
-            async with connect(machine.url, PAINT, **machine.settings) as client:
-                store.cut()
-                with pytest.raises(ConnectionLost):
-                    await client.send_goal(1)
-                await anyio.sleep_forever()
-    assert painter.runs == []
-
-
-@pytest.mark.promise("KEEP-8")
-@pytest.mark.usefixtures("leaving_soon")
-async def test_a_client_that_waits_when_the_store_fails_is_told_that_the_line_is_lost(
-    machine: Machine,
-) -> None:
-    store = CutStore()
     painter = Painter(stop_at=1)
     with anyio.fail_after(10), pytest.raises(StoreError, match="broken"):
         async with serve(ActionServer(PAINT, painter, store=store), machine.url):
@@ -745,6 +670,7 @@ async def test_a_client_that_waits_when_the_store_fails_is_told_that_the_line_is
                 with pytest.raises(ConnectionLost):
                     await goal.outcome()
                 await anyio.sleep_forever()
+    assert painter.runs == [Run(1, None)]
 
 
 @in_virtual_time()

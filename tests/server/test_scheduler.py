@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import pytest
@@ -28,12 +27,12 @@ ONE, TWO, THREE = map(goal, range(1, 4))
 
 
 def rules_of(
+    *,
     concurrency: int | None,
     total: int | None,
     queue: int,
     when_full: Any,
     by_priority: bool,
-    *,
     queue_timeout: float,
     run_timeout: float,
     handover: float,
@@ -58,8 +57,6 @@ def rules_of(
 class Fleet(RuleBasedStateMachine):
     """A scheduler beside a plain model: lists, and no data structures that could be wrong."""
 
-    schedule: Schedule | None = None
-
     @initialize(
         concurrency=st.none() | st.integers(1, 3),
         total=st.none() | st.integers(1, 4),
@@ -70,28 +67,9 @@ class Fleet(RuleBasedStateMachine):
         run_timeout=st.sampled_from([math.inf, 7.0]),
         handover=st.sampled_from([0.0, 2.0, math.inf]),
     )
-    def begin(
-        self,
-        concurrency: int | None,
-        total: int | None,
-        queue: int,
-        when_full: str,
-        by_priority: bool,
-        queue_timeout: float,
-        run_timeout: float,
-        handover: float,
-    ) -> None:
-        self.schedule = rules_of(
-            concurrency,
-            total,
-            queue,
-            when_full,
-            by_priority,
-            queue_timeout=queue_timeout,
-            run_timeout=run_timeout,
-            handover=handover,
-        )
-        self.scheduler = Scheduler(self.schedule, kill_after=KILL_AFTER)
+    def begin(self, **rules: Any) -> None:
+        self.limits = rules_of(**rules)
+        self.scheduler = Scheduler(self.limits, kill_after=KILL_AFTER)
         self.now = 0.0
         self.count = 0
         self.running: list[GoalID] = []  # in the order of their start
@@ -104,11 +82,6 @@ class Fleet(RuleBasedStateMachine):
         self.urgency: dict[GoalID, tuple[float, int]] = {}
         self.since: dict[GoalID, float] = {}
         self.expires: dict[GoalID, float] = {}
-
-    @property
-    def limits(self) -> Schedule:
-        assert self.schedule is not None
-        return self.schedule
 
     def has_place(self, key: int) -> bool:
         at_key = sum(self.key[one] == key for one in self.running)
@@ -169,27 +142,25 @@ class Fleet(RuleBasedStateMachine):
         least = max(able, key=lambda one: (self.urgency[last[one]][0], -self.urgency[last[one]][1]))
         return least if self.urgency[new][0] < self.urgency[last[least]][0] else None
 
-    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2), lasts=LASTS)
-    def offer(self, key: int, urgency: int, lasts: float) -> None:
+    def arrive(self, key: int, urgency: int, lasts: float) -> tuple[GoalID, dict[str, Any]]:
+        """Return a new goal, and what the scheduler is told of it."""
         self.count += 1
         new = goal(self.count)
         self.key[new] = key
         self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
         self.expires[new] = self.now + lasts
+        told = {"urgency": self.urgency[new][0], "now": self.now, "expires": self.expires[new]}
+        return new, {"key": key, **told}
+
+    @rule(key=st.integers(0, 2), urgency=st.integers(0, 2), lasts=LASTS)
+    def offer(self, key: int, urgency: int, lasts: float) -> None:
+        new, told = self.arrive(key, urgency, lasts)
         expected = self.place(new)
-        offer = partial(
-            self.scheduler.offer,
-            new,
-            key=key,
-            urgency=self.urgency[new][0],
-            now=self.now,
-            expires=self.expires[new],
-        )
         if expected is None:
             with pytest.raises(Busy, match=r"^busy: \d of \d running"):
-                offer()
+                self.scheduler.offer(new, **told)
         else:
-            assert offer() == expected
+            assert self.scheduler.offer(new, **told) == expected
 
     @rule(
         key=st.integers(0, 2),
@@ -198,12 +169,8 @@ class Fleet(RuleBasedStateMachine):
         lasts=LASTS,
     )
     def restore(self, key: int, urgency: int, waited: float, lasts: float) -> None:
-        self.count += 1
-        new = goal(self.count)
-        self.key[new] = key
-        self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
+        new, told = self.arrive(key, urgency, lasts)
         self.since[new] = self.now - waited
-        self.expires[new] = self.now + lasts
         expected = []
         if waited >= self.limits.queue_timeout:
             expected.append(Order(Act.END, new, "waited for 5 s"))
@@ -214,15 +181,7 @@ class Fleet(RuleBasedStateMachine):
             expected.append(Order(Act.START, new))
         else:
             self.queue.append(new)  # beyond any limit
-        orders = self.scheduler.restore(
-            new,
-            key=key,
-            urgency=self.urgency[new][0],
-            now=self.now,
-            waited=waited,
-            expires=self.expires[new],
-        )
-        assert orders == expected
+        assert self.scheduler.restore(new, waited=waited, **told) == expected
 
     def place(self, new: GoalID) -> list[Order] | None:
         """Give a new goal its place in the model, and return the orders; None if it has none."""
@@ -356,13 +315,10 @@ class Fleet(RuleBasedStateMachine):
 
     @invariant()
     def no_goal_waits_beside_a_free_place(self) -> None:
-        if self.schedule is not None:
-            assert not any(self.has_place(self.key[one]) for one in self.queue)
+        assert not any(self.has_place(self.key[one]) for one in self.queue)
 
     @invariant()
     def the_places_are_in_the_order_of_their_start(self) -> None:
-        if self.schedule is None:
-            return
         expected: dict[GoalID, tuple[int, int]] = {}
         for key in range(3):
             # Successors are ahead of the queue.
@@ -377,8 +333,6 @@ class Fleet(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         """Check that every goal that waits runs in the end, and that nothing is left behind."""
-        if self.schedule is None:
-            return
         while self.running:
             self.end_one(self.running[-1])
         assert not self.queue
@@ -421,36 +375,6 @@ def test_a_goal_without_a_place_is_told_the_limits(
     with pytest.raises(Busy) as caught:
         scheduler.offer(goal(9), now=0)
     assert str(caught.value) == sentence
-
-
-def test_an_id_is_free_again_only_when_its_executor_has_ended() -> None:
-    scheduler = Scheduler(Schedule(concurrency=2))
-    scheduler.offer(ONE, now=0)
-    with pytest.raises(Busy, match=f"an earlier goal {ONE} was killed, and has not ended yet"):
-        scheduler.offer(ONE, now=0)
-    scheduler.leave(ONE, 0)
-    assert scheduler.offer(ONE, now=0) == [Order(Act.START, ONE)]
-
-
-def test_the_heap_of_a_queue_does_not_grow_with_goals_that_have_left() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=1))
-    scheduler.offer(ONE, now=0)
-    for number in range(2, 1000):
-        scheduler.offer(goal(number), now=0)
-        scheduler.leave(goal(number), 0)
-    (group,) = scheduler._groups.values()
-    assert len(group._heap) < 50
-    assert len(scheduler._heads) < 50
-
-
-def test_keys_whose_goals_have_left_are_forgotten() -> None:
-    scheduler = Scheduler(Schedule(total=1, queue=1))
-    scheduler.offer(ONE, now=0)
-    for number in range(2, 1000):
-        scheduler.offer(goal(number), key=number, now=0)
-        scheduler.leave(goal(number), 0)
-    assert len(scheduler._groups) == 1
-    assert len(scheduler._heads) < 50
 
 
 def told(handover: float, **rules: Any) -> Scheduler:
@@ -529,19 +453,6 @@ def test_there_is_no_room_where_more_goals_were_restored_than_the_limits_allow()
     assert scheduler.capacity() == (0, 0)
 
 
-def test_the_order_of_keys_does_not_grow_with_goals_that_have_left() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
-    scheduler.offer(ONE, now=0)
-    for number in range(2, 1000):  # each is more urgent than all before it
-        scheduler.offer(goal(number), urgency=-number, now=0)
-        if number > 50:
-            scheduler.leave(goal(number), 0)
-    (group,) = scheduler._groups.values()
-    assert len(scheduler._heads) < 50
-    assert len(group._heap) < 2 * len(group.queue) + 20
-    assert scheduler.leave(ONE, 0) == [Order(Act.START, goal(50))]
-
-
 def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> None:
     scheduler = Scheduler(Schedule(total=1, queue=100, priority=lambda _: 0, key=lambda _: None))
     scheduler.offer(ONE, key=0, now=0)
@@ -551,6 +462,7 @@ def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> 
     newest = [goal(number) for number in range(100, 160)]
     for urgency, goal_id in enumerate(newest):  # each is the first of its key, for a while
         scheduler.offer(goal_id, key=13, urgency=-1 - urgency, now=0)
+    assert len(scheduler._heads) < 50
     ended = [ONE]
     while orders := scheduler.leave(ended[-1], 0):
         ended.append(orders[0].goal_id)
@@ -567,26 +479,9 @@ def test_a_queue_keeps_its_order_when_goals_that_have_left_are_removed_from_it()
         scheduler.leave(goal(number), 0)
         del urgencies[goal(number)]
     scheduler.offer(goal(200), urgency=1000, now=0)
+    (group,) = scheduler._groups.values()
+    assert len(group._heap) < 2 * len(group.queue) + 20
     ended = [ONE]
     while orders := scheduler.leave(ended[-1], 0):
         ended.append(orders[0].goal_id)
     assert ended == [ONE, *sorted(urgencies, key=lambda one: urgencies[one]), goal(200)]
-
-
-# Several places, and goals that give way
-
-
-def test_the_queue_of_a_key_does_not_grow_with_goals_that_have_left_behind_its_first() -> None:
-    scheduler = Scheduler(Schedule(concurrency=1, queue=100, priority=lambda _: 0))
-    scheduler.offer(ONE, now=0)
-    scheduler.offer(TWO, urgency=-1, now=0)
-    for number in range(3, 1000):
-        scheduler.offer(goal(number), urgency=1 / number, now=0)  # each before those that wait
-        if 5 < number < 998:
-            scheduler.leave(goal(number), 0)
-    (group,) = scheduler._groups.values()
-    assert len(group._heap) < 50
-    ended = [ONE]
-    while orders := scheduler.leave(ended[-1], 0):
-        ended.append(orders[0].goal_id)
-    assert ended == [ONE, TWO, *map(goal, (999, 998, 5, 4, 3))]

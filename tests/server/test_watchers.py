@@ -26,6 +26,7 @@ from fibaction.border.watchers import Watcher
 from fibaction.server import watchers as server_watchers
 from fibaction.types.action import ActionInfo
 from fibaction.words.goals import CancelAnswer, GoalInfo
+from tests.server.held import waits
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.memory_store import MemoryStore
@@ -88,12 +89,6 @@ class Diary(Watcher):
 
     def closed(self, info: ActionInfo) -> None:
         self.lines.append(f"closed {info.name}")
-
-
-async def waits(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([goal.request.order])
-    await anyio.sleep_forever()
-    yield Result([])
 
 
 async def test_a_watcher_sees_a_goal_from_its_offer_to_its_end() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from contextlib import closing
@@ -19,6 +18,7 @@ from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.testing.contract.stores import a_goal
 from fibaction.words.statuses import GoalStatus
+from tests.stores.journals import add
 from tests.stores.test_sqlite_store import KILLED
 
 COUNT = """
@@ -42,20 +42,11 @@ def why_not(path: Path) -> str:
     return reason
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "goals.db"
-
-
-def add(file: JournalFile, action: str, number: int) -> None:
-    file.add(encode_row(file.next_number, [WholeRecord(action, a_goal(number))]))
-
-
 def test_the_goals_of_a_file_are_read_in_use_and_afterwards(path: Path) -> None:
     with closing(JournalFile(str(path), "full")) as file:
-        add(file, "paint", 2)
-        add(file, "drive", 3)
-        add(file, "paint", 1)
+        add(file, 2)
+        add(file, 3, "drive")
+        add(file, 1)
         # In another process: this one would lose its lock.
         child = subprocess.run([sys.executable, "-c", COUNT, str(path)], capture_output=True)
         assert child.stdout == b"2\n"
@@ -82,7 +73,7 @@ def test_the_log_beside_a_file_is_read_through_a_link_as_well(path: Path) -> Non
     link = path.with_name("link.db")
     link.symlink_to(path)
     with closing(JournalFile(str(path), "full")) as file:
-        add(file, "paint", 1)  # it is in the log only
+        add(file, 1)  # it is in the log only
         child = subprocess.run([sys.executable, "-c", COUNT, str(link)], capture_output=True)
     assert child.stdout == b"1\n"
 
@@ -92,7 +83,7 @@ def test_outcomes_whose_time_is_over_are_not_shown(path: Path) -> None:
         old = a_goal(1)
         old.status, old.keep_until = GoalStatus.SUCCEEDED, 1
         file.add(encode_row(file.next_number, [WholeRecord("paint", old)]))
-        add(file, "paint", 2)
+        add(file, 2)
     assert read(path) == {"paint": [2]}
 
 
@@ -125,16 +116,12 @@ def test_a_copy_has_everything_that_was_told_before(path: Path) -> None:
             child.stdout.read()
 
 
-def test_a_store_that_a_killed_process_has_left_is_backed_up(path: Path) -> None:
-    left, backup = path.with_name("left.db"), path.with_name("backup.db")
-    with closing(JournalFile(str(path), "full")) as file:
-        add(file, "paint", 1)
-        shutil.copy(path, left)
-        shutil.copy(f"{path}-wal", f"{left}-wal")
-    assert anyio.run(back_up, str(left), str(backup)) == 1
-    assert read(backup) == {"paint": [1]}
+def test_a_store_that_a_killed_process_has_left_is_backed_up(path: Path, left: Path) -> None:
+    backup = path.with_name("backup.db")
+    assert anyio.run(back_up, str(left), str(backup)) == 20
+    assert read(backup) == {"paint": [*range(1, 21)]}
     assert not backup.with_name("backup.db-wal").exists()
-    assert left.with_name("left.db-wal").exists()
+    assert left.with_name("goals.db-wal").exists()
 
 
 def test_a_backup_that_cannot_be_written_leaves_nothing(path: Path) -> None:

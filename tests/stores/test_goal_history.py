@@ -36,11 +36,6 @@ SECOND = 10**9
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "goals.db"
-
-
-@pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A clock that the history reads, which stands at 100 s."""
     clock = SimpleNamespace(now=100 * SECOND)

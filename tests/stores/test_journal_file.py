@@ -20,30 +20,13 @@ from fibaction.stores._journal_file import JournalFile
 from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.testing.contract.stores import a_goal
 from fibaction.words.errors import StoreError
-
-SIZE = 3000
-"""Bytes of the result of each goal: with the goals of 20 commits there are pages of all kinds."""
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "goals.db"
-
-
-def add(file: JournalFile, number: int) -> None:
-    goal = a_goal(number, result=bytes([number]) * SIZE)
-    file.add(encode_row(file.next_number, [WholeRecord("paint", goal)]))
+from tests.stores.journals import add, stamps
 
 
 def write(path: Path, count: int) -> None:
     with closing(JournalFile(str(path), "full")) as file:
         for number in range(1, count + 1):
             add(file, number)
-
-
-def stamps(path: Path) -> list[int]:
-    with closing(JournalFile(str(path), "full")) as file:
-        return [goal.stamp for goal in file.goals().of("paint").in_order()]
 
 
 def why_not(path: Path) -> str:
@@ -53,19 +36,6 @@ def why_not(path: Path) -> str:
     text = str(caught.value)
     assert text.startswith(f"cannot keep goals in {path}: ")
     return text.removeprefix(f"cannot keep goals in {path}: ")
-
-
-@pytest.fixture
-def left(path: Path, tmp_path: Path) -> Path:
-    """A file with 20 commits, as a killed process leaves it: all of them are in the log."""
-    left = tmp_path / "left" / "goals.db"
-    left.parent.mkdir()
-    with closing(JournalFile(str(path), "full")) as file:
-        for number in range(1, 21):
-            add(file, number)
-        for name in ("goals.db", "goals.db-wal"):
-            shutil.copy(path.with_name(name), left.with_name(name))
-    return left
 
 
 @pytest.mark.parametrize("count", [1, 100, 4120, 5000])

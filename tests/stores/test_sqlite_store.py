@@ -28,34 +28,6 @@ from fibaction.words.goal_query import PastPage
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "goals.db"
-
-
-async def test_results_are_forgotten_at_a_start_when_there_are_too_many_or_too_old(
-    path: Path,
-) -> None:
-    store = SqliteStore(path)
-    async with opened(store) as kept:
-        for number, until in enumerate([0, 0, time.time_ns() + 10**12, 1, 0], 1):
-            await kept(kept.journal.accept, a_goal(number))
-            await kept(kept.journal.end, after_end(a_goal(number), keep_until=until))
-    async with opened(store, max_results=3) as kept:
-        assert [goal.stamp for goal in kept.found] == [2, 3, 5]
-    async with opened(store) as kept:
-        assert [goal.stamp for goal in kept.found] == [2, 3, 5]
-
-
-async def test_an_action_is_served_once(path: Path) -> None:
-    store = SqliteStore(path)
-    async with opened(store) as kept:
-        with pytest.raises(StoreError, match="a server of the action 'paint' uses it already"):
-            async with opened(store):
-                pass
-        await kept(kept.journal.accept, a_goal())
-
-
 async def test_a_store_belongs_to_one_event_loop_at_a_time(
     path: Path, anyio_backend_name: str
 ) -> None:
@@ -289,12 +261,6 @@ def test_a_store_is_a_file() -> None:
         ValueError, match=r"^a store is a file: leave `store` out to keep goals in memory$"
     ):
         SqliteStore(":memory:")
-
-
-async def test_a_record_that_cannot_be_written_is_an_error(path: Path) -> None:
-    async with opened(SqliteStore(path)) as kept:
-        with pytest.raises(StoreError, match="OverflowError"):
-            await kept(kept.journal.accept, a_goal(1, deadline=2**64))
 
 
 async def test_a_write_after_the_end_of_the_block_is_an_error(path: Path) -> None:

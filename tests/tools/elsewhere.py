@@ -18,7 +18,7 @@ TESTS = Path(__file__).resolve().parents[1]
 LEFT_OUT = {
     "trials, attacks and floods, browsers and Node, which load what is tested already": (
         "browser fleet fleet_simulation fuzz hostile javascript kills simulation soak"
-        " cli/test_console.py cli/test_hostile.py server/test_schedule_load.py"
+        " cli/test_console.py cli/test_hostile.py"
         " transports/cdr/test_hostile.py transports/mcp/test_page.py"
     ),
     "rules without I/O": (

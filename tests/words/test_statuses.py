@@ -3,8 +3,6 @@ from __future__ import annotations
 import msgspec
 import pydantic
 import pytest
-from hypothesis import settings, strategies
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from fibaction.schema.payload import GoalCodec
 from fibaction.types.action import Action
@@ -91,69 +89,6 @@ def test_events_have_the_numbers_of_ros() -> None:
 @pytest.mark.promise("STATUS-3")
 def test_a_goal_begins_as_accepted() -> None:
     assert INITIAL is GoalStatus.ACCEPTED
-
-
-class GoalWalk(RuleBasedStateMachine):
-    """A goal meets random events; its status has to agree with three plain facts about it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.statuses = [INITIAL]
-        self.started = False
-        self.asked_to_cancel = False
-        self.end = ""
-
-    def happens(self, event: GoalEvent, *, allowed: bool) -> bool:
-        before = self.statuses[-1]
-        try:
-            self.statuses.append(transition(before, event))
-        except InvalidTransition:
-            assert not allowed, f"{event.name} was refused while {before.name}"
-        else:
-            assert allowed, f"{event.name} was allowed while {before.name}"
-        return allowed
-
-    @rule()
-    def execute(self) -> None:
-        fresh = not (self.started or self.asked_to_cancel or self.end)
-        self.started |= self.happens(GoalEvent.EXECUTE, allowed=fresh)
-
-    @rule()
-    def cancel(self) -> None:
-        first = not (self.asked_to_cancel or self.end)
-        self.asked_to_cancel |= self.happens(GoalEvent.CANCEL_GOAL, allowed=first)
-
-    @rule(event=strategies.sampled_from([GoalEvent.SUCCEED, GoalEvent.ABORT]))
-    def end_by_itself(self, event: GoalEvent) -> None:
-        begun = (self.started or self.asked_to_cancel) and not self.end
-        if self.happens(event, allowed=begun):
-            self.end = {GoalEvent.SUCCEED: "SUCCEEDED", GoalEvent.ABORT: "ABORTED"}[event]
-
-    @rule()
-    def end_as_canceled(self) -> None:
-        if self.happens(GoalEvent.CANCELED, allowed=self.asked_to_cancel and not self.end):
-            self.end = "CANCELED"
-
-    @invariant()
-    def the_status_says_what_happened(self) -> None:
-        expected = "EXECUTING" if self.started else "ACCEPTED"
-        if self.asked_to_cancel:
-            expected = "CANCELING"
-        assert self.statuses[-1].name == (self.end or expected)
-
-    @invariant()
-    def canceled_comes_only_after_canceling(self) -> None:
-        if self.statuses[-1] is GoalStatus.CANCELED:
-            assert self.statuses[-2] is GoalStatus.CANCELING
-
-    @invariant()
-    def a_goal_is_active_until_its_end(self) -> None:
-        assert self.statuses[-1].is_active == (not self.end)
-        assert self.statuses[-1].is_terminal == bool(self.end)
-
-
-TestGoalWalk = GoalWalk.TestCase
-TestGoalWalk.settings = settings(stateful_step_count=12)
 
 
 class Report(pydantic.BaseModel):

@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-import anyio
 import msgspec
 import pytest
 
@@ -26,17 +25,12 @@ from fibaction.border.abc import FeedbackItem
 from fibaction.observe.recordings import recorder
 from fibaction.observe.recordings.recorder import Recorder
 from fibaction.observe.recordings.recording_file import Record, read_records
-from tests.support.executors import Items
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.server.held import waits
+from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
 pytestmark = pytest.mark.anyio
 
 GOAL_ID = GoalID(bytes(16))
-
-
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 @pytest.fixture
@@ -77,11 +71,6 @@ async def test_a_recording_has_every_event_of_each_goal(path: Path) -> None:
 
 
 async def test_a_recording_has_an_end_without_a_result_and_its_reason(path: Path) -> None:
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        yield Feedback([])
-        await anyio.sleep_forever()
-        yield Result([])
-
     with Recorder(path) as recording:
         async with ActionServer(FIBONACCI, waits, watchers=[recording]) as server:
             await anext((await ActionClient(server, FIBONACCI).send_goal(Goal(1))).feedback)

@@ -40,11 +40,6 @@ pytestmark = pytest.mark.anyio
 URL = "inproc://robot"
 
 
-@pytest.fixture(params=["asyncio", "trio"])
-def anyio_backend(request: pytest.FixtureRequest) -> Any:
-    return request.param
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "recording.jsonl"
