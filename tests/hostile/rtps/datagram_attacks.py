@@ -12,22 +12,16 @@ from typing import NamedTuple, TypeAlias
 import anyio
 
 from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.remote_participant import (
-    ParticipantData,
-    participant_payload,
-)
 from fibaction_transports.rtps.events import EndpointMatched, Event
 from fibaction_transports.rtps.messages.ids import (
     PUBLICATIONS_READER,
     PUBLICATIONS_WRITER,
-    SPDP_WRITER,
     SUBSCRIPTIONS_READER,
     SUBSCRIPTIONS_WRITER,
     UNKNOWN_ENTITY,
     Guid,
 )
 from fibaction_transports.rtps.messages.layout import MAX_NUMBER
-from fibaction_transports.rtps.messages.locators import udp_locator
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -44,7 +38,7 @@ from fibaction_transports.rtps.network import open_network
 from fibaction_transports.rtps.ports import DomainSettings
 from fibaction_transports.rtps.qos import Durability, Qos
 from tests.hostile.rtps.echo_victim import ANSWERED, ASKED, KEPT, LARGE, SIZE, EchoIdentity
-from tests.transports.rtps.test_bounds import packet
+from tests.transports.rtps.target import hello, packet
 from tests.transports.rtps.world import TYPE, payload
 
 DATAGRAMS = 300
@@ -99,9 +93,7 @@ class Attacker:
 
     def announcement(self, prefix: bytes) -> Data:
         """Return the announcement of a participant at the raw socket."""
-        here = (udp_locator(self.here),)
-        data = ParticipantData(prefix=prefix, discovery_locators=here, data_locators=here)
-        return Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, participant_payload(data))
+        return hello(prefix, self.here)
 
 
 @asynccontextmanager

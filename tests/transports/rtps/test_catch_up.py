@@ -10,136 +10,93 @@ from fibaction_transports.rtps.endpoints.catch_up import (
     REMEMBER,
     CatchUp,
 )
-from fibaction_transports.rtps.endpoints.reader import DataReader
-from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import CaughtUp
-from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import AckNack
 from fibaction_transports.rtps.qos import Qos, Reliability
 from fibaction_transports.rtps.timers import Timers
-from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
-
-KEEP_ALL = Qos(depth=None)
+from tests.transports.rtps.world import KEEP_ALL, Link, World, reader_of, writer_of
 
 
-def everything(datagram: bytes, address: Address) -> bool:
-    return True
+def caught_up(link: Link) -> float:
+    """Return the seconds until the reader has caught up."""
+    begun, before = link.world.now, len(link.other.all(CaughtUp))
+    assert link.world.run_until(lambda: len(link.other.all(CaughtUp)) > before, 5.0)
+    return link.world.now - begun
 
 
-def nothing(datagram: bytes, address: Address) -> bool:
-    return False
+@pytest.fixture
+def link() -> Link:
+    """A link whose reader has received a sample long ago, and lost none."""
+    link = Link(requested=KEEP_ALL)
+    link.write("first")
+    link.world.run(REMEMBER + 1)
+    assert link.texts == ["first"]
+    return link
 
 
-def connected(world: World) -> tuple[Node, DataWriter, DataReader]:
-    """Return the node of a reader, and a writer and the reader that have found each other."""
-    one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, KEEP_ALL, world.now)
-    reader = reader_of(world, other, KEEP_ALL)
-    world.run(1.0)
-    writer.write(payload("first"), world.now)
-    world.run(REMEMBER + 1)
-    assert other.texts(reader) == ["first"]
-    return other, writer, reader
+def test_a_lost_last_sample_comes_before_the_reader_has_caught_up(link: Link) -> None:
+    link.lose("last")
+    assert link.reader.catch_up(link.world.now)
+    assert link.reader.is_catching_up
+    caught_up(link)
+    assert link.texts == ["first", "last"]
+    assert not link.reader.is_catching_up
 
 
-def lose(world: World, writer: DataWriter, text: str) -> None:
-    """Write a sample that is lost with its heartbeat."""
-    world.is_lost = everything
-    writer.write(payload(text), world.now)
-    world.flush()
-    world.is_lost = nothing
+def test_without_a_loss_a_question_is_not_put_again_at_once(link: Link) -> None:
+    assert link.reader.catch_up(link.world.now)
+    assert caught_up(link) < 0.01
+    assert not link.reader.catch_up(link.world.now)
+    link.world.run(ASK_AGAIN)
+    assert link.reader.catch_up(link.world.now)
 
 
-def caught_up(world: World, node: Node) -> float:
-    """Return the seconds until the reader of a node has caught up."""
-    begun, before = world.now, len(node.all(CaughtUp))
-    assert world.run_until(lambda: len(node.all(CaughtUp)) > before, 5.0)
-    return world.now - begun
-
-
-def test_a_lost_last_sample_comes_before_the_reader_has_caught_up() -> None:
-    world = World()
-    node, writer, reader = connected(world)
-    lose(world, writer, "last")
-    assert reader.catch_up(world.now)
-    assert reader.is_catching_up
-    caught_up(world, node)
-    assert node.texts(reader) == ["first", "last"]
-    assert not reader.is_catching_up
-
-
-def test_without_a_loss_a_question_is_not_put_again_at_once() -> None:
-    world = World()
-    node, _, reader = connected(world)
-    assert reader.catch_up(world.now)
-    assert caught_up(world, node) < 0.01
-    assert not reader.catch_up(world.now)
-    world.run(ASK_AGAIN)
-    assert reader.catch_up(world.now)
-
-
-def test_after_a_loss_each_question_is_put_for_a_while() -> None:
-    world = World()
-    node, writer, reader = connected(world)
-    lose(world, writer, "lost")
+def test_after_a_loss_each_question_is_put_for_a_while(link: Link) -> None:
+    link.lose("lost")
     for _ in range(3):
-        assert reader.catch_up(world.now)
-        caught_up(world, node)
-    world.run(REMEMBER)
-    assert reader.catch_up(world.now)  # the last one is long ago
-    caught_up(world, node)
-    assert not reader.catch_up(world.now)
+        assert link.reader.catch_up(link.world.now)
+        caught_up(link)
+    link.world.run(REMEMBER)
+    assert link.reader.catch_up(link.world.now)  # the last one is long ago
+    caught_up(link)
+    assert not link.reader.catch_up(link.world.now)
 
 
-def test_a_sample_that_is_missing_is_waited_for() -> None:
-    world = World()
-    node, writer, reader = connected(world)
-    assert reader.catch_up(world.now)
-    caught_up(world, node)
-    lose(world, writer, "lost")
-    writer.write(payload("next"), world.now)
-    world.run_until(lambda: not reader.is_complete(writer.guid), 1.0)
-    assert reader.catch_up(world.now)
-    caught_up(world, node)
-    assert node.texts(reader) == ["first", "lost", "next"]
+def test_a_sample_that_is_missing_is_waited_for(link: Link) -> None:
+    assert link.reader.catch_up(link.world.now)
+    caught_up(link)
+    link.lose("lost")
+    link.write("next")
+    link.world.run_until(lambda: not link.reader.is_complete(link.writer.guid), 1.0)
+    assert link.reader.catch_up(link.world.now)
+    caught_up(link)
+    assert link.texts == ["first", "lost", "next"]
 
 
 def test_samples_that_are_gone_are_not_waited_for() -> None:
-    world = World()
-    one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(depth=1), world.now)
-    reader = reader_of(world, other, Qos(depth=1))
-    world.run(1.0)
-    for text in "abc":
-        lose(world, writer, text)
-    assert reader.catch_up(world.now)
-    caught_up(world, other)
-    assert other.texts(reader) == ["c"]
+    link = Link(Qos(depth=1))
+    link.lose(*"abc")
+    assert link.reader.catch_up(link.world.now)
+    caught_up(link)
+    assert link.texts == ["c"]
 
 
-def test_a_question_without_an_answer_is_repeated_and_given_up() -> None:
-    world = World()
-    node, _, reader = connected(world)
-    asked = list[float]()
-
-    def note(datagram: bytes, _: object) -> bool:
-        found = read_packet(datagram).submessages
-        asked.extend(world.now for each in found if isinstance(each, AckNack) and not each.is_final)
-        return True
-
-    world.is_lost = note
-    begun = world.now
-    assert reader.catch_up(world.now)
-    assert caught_up(world, node) == pytest.approx(LONGEST_QUESTION)
-    assert [when - begun for when in asked] == pytest.approx([0.0, 0.02, 0.06, 0.14])
+def test_a_question_without_an_answer_is_repeated_and_given_up(link: Link) -> None:
+    asked = link.world.heard(AckNack)
+    note = link.world.is_lost
+    link.world.is_lost = lambda *of: note(*of) or True
+    begun = link.world.now
+    assert link.reader.catch_up(begun)
+    assert caught_up(link) == pytest.approx(LONGEST_QUESTION)
+    times = [when - begun for when, _, nack in asked if not nack.is_final]
+    assert times == pytest.approx([0.0, 0.02, 0.06, 0.14])
 
 
 def test_a_writer_that_leaves_ends_the_question() -> None:
     world = World()
     one, other = world.pair()
     for _ in range(2):
-        one.participant.create_writer(TOPIC, TYPE, KEEP_ALL, world.now)
+        writer_of(world, one)
     reader = reader_of(world, other, KEEP_ALL)
     world.run(1.0)
     assert reader.catch_up(world.now)
@@ -159,7 +116,7 @@ def test_writers_that_cannot_be_asked_are_not() -> None:
     best_effort = Qos(reliability=Reliability.BEST_EFFORT)
     reader = reader_of(world, other, best_effort)
     assert not reader.catch_up(world.now)
-    one.participant.create_writer(TOPIC, TYPE, best_effort, world.now)
+    writer_of(world, one, best_effort)
     world.run(1.0)
     assert reader.writers
     assert not reader.catch_up(world.now)

@@ -8,8 +8,7 @@ from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
-from fibaction_transports.rtps.qos import Qos
-from tests.transports.rtps.world import GROUP, TYPE, Node, World, payload, reader_of
+from tests.transports.rtps.world import GROUP, Node, World, payload, reader_of, writer_of
 
 GOALS = 100
 REQUESTS = ("send_goal", "get_result")
@@ -29,7 +28,7 @@ class Pair:
         self.world.is_lost = self._count
 
     def _topic(self, one: Node, other: Node, topic: str) -> tuple[DataWriter, Node, DataReader]:
-        writer = one.participant.create_writer(topic, TYPE, Qos(depth=None), self.world.now)
+        writer = writer_of(self.world, one, topic=topic)
         return writer, other, reader_of(self.world, other, topic=topic)
 
     def _count(self, datagram: bytes, address: Address) -> bool:
@@ -82,7 +81,7 @@ def test_a_request_with_a_soon_answer_needs_no_heartbeat_and_is_repeated_if_lost
     world = World()
     client, server = world.pair()
     other = world.join()
-    writer = client.participant.create_writer("send_goal", TYPE, Qos(depth=None), world.now)
+    writer = writer_of(world, client, topic="send_goal")
     reader = reader_of(world, server, topic="send_goal")
     reader_of(world, other, topic="send_goal")
     world.run(2.0)

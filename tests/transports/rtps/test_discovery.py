@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,7 @@ from fibaction_transports.rtps.discovery.remote_participant import (
     participant_payload,
     reachable,
 )
+from fibaction_transports.rtps.endpoints.sample import DISPOSED
 from fibaction_transports.rtps.events import (
     EndpointMatched,
     EndpointUnmatched,
@@ -22,56 +24,36 @@ from fibaction_transports.rtps.events import (
 )
 from fibaction_transports.rtps.messages import parameters as pids
 from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.ids import (
     FAST_DDS,
     LIVELINESS_WRITER,
     PARTICIPANT,
+    PUBLICATIONS_READER,
     PUBLICATIONS_WRITER,
     SPDP_WRITER,
     UNKNOWN_ENTITY,
     Guid,
 )
-from fibaction_transports.rtps.messages.layout import BIG, Order
+from fibaction_transports.rtps.messages.layout import BIG
 from fibaction_transports.rtps.messages.locators import Locator, udp_locator
-from fibaction_transports.rtps.messages.parameters import Parameters
+from fibaction_transports.rtps.messages.parameters import (
+    Parameters,
+    list_payload,
+    parameters_bytes,
+    read_list,
+)
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
     DataFragment,
     NumberSet,
     SourceInfo,
-    Submessage,
     WriterHeartbeat,
 )
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
-from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
-
-PREFIX = FAST_DDS + b"a peer    "
-SOURCE = ("10.0.0.99", 7410)
-LOCATORS = (udp_locator(SOURCE),)
-
-
-def packet(*submessages: Submessage, prefix: bytes = PREFIX, order: Order = "<") -> bytes:
-    """Return a packet of a peer of our own making."""
-    content = b"".join(submessage_bytes(each, order) for each in submessages)
-    return packet_head(prefix[:2], prefix) + content
-
-
-def announcement(content: bytes, inline_qos: Parameters | None = None) -> Data:
-    return Data(UNKNOWN_ENTITY, SPDP_WRITER, 1, content, inline_qos)
-
-
-def hello(prefix: bytes = PREFIX, **changed: object) -> bytes:
-    fields = {"prefix": prefix, "discovery_locators": LOCATORS, "data_locators": LOCATORS}
-    data = ParticipantData(**(fields | changed))  # type: ignore[arg-type]  # fields of any kind
-    return packet(announcement(participant_payload(data)), prefix=prefix)
-
-
-def receive(world: World, node: Node, datagram: bytes) -> None:
-    node.participant.receive(datagram, SOURCE, world.now)
-    world.flush()
+from tests.transports.rtps.target import HOST, STRANGER, Target, announcement, hello, packet
+from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of, writer_of
 
 
 def prefixes(node: Node) -> list[bytes]:
@@ -82,7 +64,7 @@ def test_a_participant_is_incomplete_until_its_endpoints_and_its_samples_have_co
     world = World()
     one, other = world.join(), world.join()
     kept = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-    writer = one.participant.create_writer(TOPIC, TYPE, kept, world.now)
+    writer = writer_of(world, one, kept)
     writer.write(payload("kept"), world.now)
     reader = reader_of(world, other, kept)
     withheld = {PUBLICATIONS_WRITER, writer.guid.entity}
@@ -136,11 +118,11 @@ def test_participants_find_each_other_and_match_what_was_there_before_and_comes_
 def test_endpoints_of_another_topic_or_of_the_same_kind_do_not_match() -> None:
     world = World()
     one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
-    other.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer = writer_of(world, one, Qos())
+    writer_of(world, other, Qos())
     reader_of(world, other, topic="rt/other")
     world.run(1.0)
-    one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer_of(world, one, Qos())
     world.run(1.0)
     assert not writer.readers
     assert one.told == [*one.all(ParticipantFound)]
@@ -169,7 +151,7 @@ def test_a_mismatch_is_told_with_its_reasons_at_both_ends() -> None:
 def test_a_removed_endpoint_matches_no_longer() -> None:
     world = World(3, loss=0.3)
     one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer = writer_of(world, one, Qos())
     reader = reader_of(world, other)
     assert world.run_until(lambda: bool(writer.readers and reader.writers))
     one.participant.remove(writer, world.now)
@@ -188,7 +170,7 @@ def test_a_removed_endpoint_matches_no_longer() -> None:
 def test_a_participant_that_leaves_is_gone_at_once() -> None:
     world = World()
     one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer = writer_of(world, one, Qos())
     reader = reader_of(world, other)
     reader_of(world, one, topic="rt/other")
     world.run(1.0)
@@ -207,7 +189,7 @@ def test_a_participant_that_leaves_is_gone_at_once() -> None:
 def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
     world = World()
     one, other = world.join(lease=4.0), world.join()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer = writer_of(world, one, Qos())
     reader = reader_of(world, other)
     world.run(10.0)
     assert reader.writers == [writer.guid]
@@ -222,7 +204,7 @@ def test_a_participant_that_is_silent_for_its_lease_is_gone() -> None:
 def test_a_participant_whose_announcements_are_lost_stays_while_it_sends_anything() -> None:
     world = World()
     one, other = world.join(lease=4.0), world.join()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+    writer = writer_of(world, one, Qos())
     reader = reader_of(world, other)
     world.run(1.0)
     world.is_lost = lambda datagram, _: SPDP_WRITER in datagram
@@ -243,120 +225,94 @@ def test_a_participant_that_was_killed_and_started_anew_is_found_within_a_second
         world = World(seed, loss=loss)
         one, other = world.pair()
         reader = reader_of(world, other)
-        one.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+        writer_of(world, one, Qos())
         world.run(3.0)
         assert len(reader.confirmed_writers) == 1
         world.kill(one)
         world.run(3.0)
         anew = world.join()
-        writer = anew.participant.create_writer(TOPIC, TYPE, Qos(), world.now)
+        writer = writer_of(world, anew, Qos())
         world.run(1.0)
         assert writer.guid in reader.confirmed_writers
 
 
-def test_a_participant_is_answered_until_it_knows_us() -> None:
+def test_a_participant_is_answered_until_it_knows_us(target: Target) -> None:
     """Fast DDS misses the first answer if it comes before its receive side is up."""
-    world = World()
-    node = world.join()
-    world.run(2.0)
-    answers = list[float]()
-
-    def note(_: bytes, address: object) -> bool:
-        if address == SOURCE:
-            answers.append(world.now)
-        return False
-
-    world.is_lost = note
+    target.later(2.0)
     for _ in range(4):
-        receive(world, node, hello())
-        receive(world, node, hello())
-        world.run(0.1)
-    spoken = len({round(at, 2) for at in answers})
-    assert spoken >= 4
-    writer = node.participant._builtin.publications.guid.entity
-    nack = AckNack(b"\0\0\3\xc7", writer, NumberSet(1), 1, True)
-    receive(world, node, packet(nack))
-    world.run(0.9)
-    answers.clear()
-    receive(world, node, hello())
-    assert answers == []
+        target.sent.clear()
+        target.receive(hello())
+        target.receive(hello())
+        target.later(0.1)
+        answers = [each for _, each in target.answers(Data) if each.writer == SPDP_WRITER]
+        assert len(answers) == 1
+    writer = target.participant._builtin.publications.guid.entity
+    target.receive(AckNack(PUBLICATIONS_READER, writer, NumberSet(1), 1, True))
+    target.later(0.9)
+    target.sent.clear()
+    target.receive(hello())
+    assert target.sent == []
 
 
-def test_a_participant_of_another_domain_or_tag_is_not_there() -> None:
-    world = World()
-    node = world.join()
-    receive(world, node, hello(domain=5))
-    content = participant_payload(ParticipantData(prefix=PREFIX, discovery_locators=LOCATORS))
+def test_a_participant_of_another_domain_or_tag_is_not_there(target: Target) -> None:
+    target.receive(hello(domain=5))
+    content = participant_payload(ParticipantData(prefix=STRANGER))
     tag = struct.pack("<HHI", pids.DOMAIN_TAG, 8, 4) + b"tag\0"
-    receive(world, node, packet(announcement(content[:4] + tag + content[4:])))
-    assert node.told == []
-    receive(world, node, hello(domain=0))
-    assert prefixes(node) == [PREFIX]
+    target.receive(announcement(content[:4] + tag + content[4:]))
+    assert target.counters.of_other_domains == 2
+    assert target.node.told == []
+    target.receive(hello(domain=0))
+    assert prefixes(target.node) == [STRANGER]
 
 
-def test_a_participant_without_an_address_that_can_be_reached_is_not_there() -> None:
-    world = World()
-    node = world.join()
-    receive(world, node, hello(discovery_locators=(Locator(16, 7410, bytes(16)),)))
-    assert node.told == []
-    assert node.participant.counters.over_limit == 1
+def test_a_participant_without_an_address_that_can_be_reached_is_not_there(target: Target) -> None:
+    target.receive(hello(discovery_locators=(Locator(16, 7410, bytes(16)),)))
+    assert target.node.told == []
+    assert target.counters.over_limit == 1
 
 
-def test_fast_dds_leaves_without_a_payload() -> None:
-    world = World()
-    node = world.join()
-    receive(world, node, hello())
-    guid = PREFIX + PARTICIPANT
-    status = Parameters(((pids.KEY_HASH, guid), (pids.STATUS_INFO, b"\0\0\0\3")))
-    leave = Data(UNKNOWN_ENTITY, SPDP_WRITER, 2, None, status)
-    receive(world, node, packet(leave))
-    assert node.all(ParticipantLost) == [ParticipantLost(PREFIX, has_left=True)]
-    receive(world, node, packet(leave))
-    assert len(node.all(ParticipantLost)) == 1
+def ended(guid: bytes) -> Parameters:
+    """Return the parameters that say that a participant or an endpoint is gone."""
+    return Parameters(((pids.KEY_HASH, guid), (pids.STATUS_INFO, DISPOSED)))
 
 
-def test_a_participant_without_discovery_of_endpoints_is_there_alone() -> None:
-    world = World()
-    node = world.join()
-    receive(world, node, hello(endpoints=0))
-    assert node.participant._builtin.publications.readers == {}
+def test_fast_dds_leaves_without_a_payload(target: Target) -> None:
+    target.receive(hello())
+    for _ in range(2):
+        target.receive(announcement(None, ended(STRANGER + PARTICIPANT)))
+        assert target.node.all(ParticipantLost) == [ParticipantLost(STRANGER, has_left=True)]
 
 
-def test_a_big_endian_participant_is_found() -> None:
-    world = World()
-    node = world.join()
+def test_a_participant_without_discovery_of_endpoints_is_there_alone(target: Target) -> None:
+    target.receive(hello(endpoints=0))
+    assert prefixes(target.node) == [STRANGER]
+    assert target.participant._builtin.publications.readers == {}
+
+
+def test_a_big_endian_participant_is_found(target: Target) -> None:
     items = (
-        (pids.PARTICIPANT_GUID, PREFIX + PARTICIPANT),
+        (pids.PARTICIPANT_GUID, STRANGER + PARTICIPANT),
         (pids.METATRAFFIC_UNICAST_LOCATOR, struct.pack(">iI12x4B", 1, 7410, 10, 0, 0, 99)),
         (pids.LEASE, struct.pack(">iI", 11, 0)),
     )
-    content = b"\x00\x02\x00\x00"
-    for pid, value in items:
-        content += struct.pack(">HH", pid, len(value)) + value
-    content += struct.pack(">HH", 1, 0)
-    receive(world, node, packet(announcement(content), order=BIG))
-    (found,) = node.all(ParticipantFound)
-    assert (found.prefix, found.name, found.user_data) == (PREFIX, "", b"")
-    world.run(10.0)
-    assert node.all(ParticipantLost) == []
-    world.run(2.0)
-    assert len(node.all(ParticipantLost)) == 1
+    content = b"\x00\x02\x00\x00" + parameters_bytes(Parameters(items, BIG))
+    target.receive(announcement(content), order=BIG)
+    (found,) = target.node.all(ParticipantFound)
+    assert (found.prefix, found.name, found.user_data) == (STRANGER, "", b"")
+    target.later(10.0)
+    assert target.node.all(ParticipantLost) == []
+    target.later(2.0)
+    assert len(target.node.all(ParticipantLost)) == 1
 
 
-def test_an_info_src_changes_the_sender() -> None:
-    world = World()
-    node = world.join()
-    content = participant_payload(ParticipantData(prefix=PREFIX, discovery_locators=LOCATORS))
-    source = SourceInfo(FAST_DDS, PREFIX)
-    receive(world, node, packet(source, announcement(content), prefix=b"\x01\x10relay     "))
-    (found,) = node.all(ParticipantFound)
-    assert (found.prefix, found.vendor) == (PREFIX, FAST_DDS)
+def test_an_info_src_changes_the_sender(target: Target) -> None:
+    target.receive(SourceInfo(FAST_DDS, STRANGER), hello(), prefix=b"\x01\x10relay     ")
+    (found,) = target.node.all(ParticipantFound)
+    assert (found.prefix, found.vendor) == (STRANGER, FAST_DDS)
 
 
 BROKEN = {
-    "of another participant": participant_payload(
-        ParticipantData(prefix=bytes(12), discovery_locators=LOCATORS)
-    ),
+    "of another participant": participant_payload(ParticipantData(prefix=bytes(12))),
     "without a name": b"\0\3\0\0\1\0\0\0",
     "that is not a list": b"\0\1\0\0\1\0\0\0",
     "without an end": b"\0\3\0\0",
@@ -364,53 +320,34 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_an_announcement_is_dropped(name: str) -> None:
-    world = World()
-    node = world.join()
-    receive(world, node, packet(announcement(BROKEN[name])))
-    assert node.told == []
-    assert node.participant.counters.invalid == 1
+def test_an_announcement_is_dropped(name: str, target: Target) -> None:
+    target.receive(announcement(BROKEN[name]))
+    assert target.node.told == []
+    assert target.counters.invalid == 1
 
 
 # Endpoints of a peer of our own making
 
 
-class Announcer:
-    """A peer that announces endpoints, right or wrong."""
-
-    def __init__(self, world: World, node: Node) -> None:
-        self.world, self.node = world, node
-        self.number = 0
-        receive(world, node, hello())
-
-    def send(self, content: bytes | None, inline: Parameters | None = None) -> None:
-        """Announce an endpoint of any kind to the reader of writers."""
-        self.number += 1
-        data = Data(UNKNOWN_ENTITY, b"\0\0\3\xc2", self.number, content, inline)
-        beat = WriterHeartbeat(
-            UNKNOWN_ENTITY, b"\0\0\3\xc2", 1, self.number, self.number, is_final=True
-        )
-        receive(self.world, self.node, packet(data, beat))
+def endpoint(number: int, *, prefix: bytes = STRANGER, **changed: Any) -> EndpointData:
+    fields: dict[str, Any] = {
+        "guid": Guid(prefix + number.to_bytes(3, "big") + b"\3"),
+        "topic": TOPIC,
+        "type_name": TYPE,
+        "qos": Qos(),
+    }
+    return EndpointData(**(fields | changed))
 
 
-def endpoint(number: int, *, prefix: bytes = PREFIX, topic: str = TOPIC) -> EndpointData:
-    guid = Guid(prefix + number.to_bytes(3, "big") + b"\3")
-    return EndpointData(guid=guid, topic=topic, type_name=TYPE, qos=Qos())
+FIRST = endpoint(1)
 
 
 def changed(pid: int, value: bytes | None) -> bytes:
     """Return the announcement of an endpoint with another value of a parameter, or without it."""
-    content = endpoint_payload(endpoint(1))
-    items = list[tuple[int, bytes]]()
-    place = 4
-    while place < len(content) - 4:
-        found, size = struct.unpack_from("<HH", content, place)
-        items.append((found, content[place + 4 : place + 4 + size]))
-        place += 4 + size
-    kept = [(found, old) for found, old in items if found != pid]
-    kept += [] if value is None else [(pid, value)]
-    parts = [struct.pack("<HH", found, len(old)) + old for found, old in kept]
-    return content[:4] + b"".join(parts) + content[-4:]
+    items = dict(read_list(endpoint_payload(FIRST)).items)
+    del items[pid]
+    added = () if value is None else ((pid, value),)
+    return list_payload(Parameters((*items.items(), *added)))
 
 
 WRONG = {
@@ -424,95 +361,77 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_the_announcement_of_an_endpoint_is_dropped_and_those_after_it_are_read(name: str) -> None:
-    world = World()
-    node = world.join()
-    peer = Announcer(world, node)
-    peer.send(WRONG[name])
-    assert node.participant.counters.invalid == 1
-    assert node.participant.remote_endpoints == []
-    peer.send(endpoint_payload(endpoint(1)))
-    assert node.participant.remote_endpoints == [endpoint(1)]
-    assert node.participant.remote_endpoints_on(endpoint(1).topic) == [endpoint(1)]
-    assert node.participant.remote_endpoints_on("another topic") == []
+def test_the_announcement_of_an_endpoint_is_dropped_and_those_after_it_are_read(
+    name: str, target: Target
+) -> None:
+    participant = target.participant
+    target.announce(WRONG[name])
+    assert target.counters.invalid == 1
+    assert participant.remote_endpoints == []
+    target.announce(endpoint_payload(FIRST))
+    assert participant.remote_endpoints == participant.remote_endpoints_on(TOPIC) == [FIRST]
+    assert participant.remote_endpoints_on("another topic") == []
 
 
-def test_an_endpoint_may_change_and_may_leave_by_its_key_alone() -> None:
-    world = World()
-    node = world.join()
-    reader = reader_of(world, node)
-    peer = Announcer(world, node)
-    peer.send(endpoint_payload(endpoint(1)))
-    peer.send(endpoint_payload(endpoint(1)))
-    assert len(node.all(EndpointMatched)) == 1
-    peer.send(endpoint_payload(endpoint(1, topic="rt/other")))
-    assert node.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, endpoint(1).guid)]
-    status = Parameters(((pids.KEY_HASH, endpoint(1).guid), (pids.STATUS_INFO, b"\0\0\0\3")))
-    peer.send(None, status)
-    assert node.participant.remote_endpoints == []
-    peer.send(None, status)
-    assert node.participant.counters.invalid == 0
+def test_an_endpoint_may_change_and_may_leave_by_its_key_alone(target: Target) -> None:
+    reader = reader_of(target.world, target.node)
+    for _ in range(2):
+        target.announce(endpoint_payload(FIRST))
+    assert len(target.node.all(EndpointMatched)) == 1
+    target.announce(endpoint_payload(endpoint(1, topic="rt/other")))
+    assert target.node.all(EndpointUnmatched) == [EndpointUnmatched(reader.guid, FIRST.guid)]
+    for _ in range(2):
+        target.announce(None, ended(FIRST.guid))
+        assert target.participant.remote_endpoints == []
+    assert target.counters.invalid == 0
 
 
-def test_endpoints_of_topics_with_keys_are_no_endpoints_of_ros() -> None:
-    world = World()
-    node = world.join()
-    peer = Announcer(world, node)
-    strange = Guid(PREFIX + b"\0\0\1\x09")
-    peer.send(endpoint_payload(EndpointData(guid=strange, topic=TOPIC, type_name=TYPE, qos=Qos())))
-    assert node.participant.remote_endpoints == []
-    assert node.participant.counters.invalid == 0
+def test_endpoints_of_topics_with_keys_are_no_endpoints_of_ros(target: Target) -> None:
+    target.announce(endpoint_payload(endpoint(1, guid=Guid(STRANGER + b"\0\0\1\x09"))))
+    assert target.participant.remote_endpoints == []
+    assert target.counters.invalid == 0
 
 
-def test_an_endpoint_is_sent_to_at_its_own_address() -> None:
-    world = World()
-    node = world.join()
-    reader_of(world, node)
-    peer = Announcer(world, node)
-    heard = world.heard(AckNack)
-    data = endpoint(1)
-    locators = (Locator(19, 9, bytes(16)), udp_locator(("10.0.0.99", 7000)))
-    own = EndpointData(guid=data.guid, topic=TOPIC, type_name=TYPE, qos=Qos(), locators=locators)
-    peer.send(endpoint_payload(own))
-    assert ("10.0.0.99", 7000) in [address for _, address, _ in heard]
+def test_an_endpoint_is_sent_to_at_its_own_address(target: Target) -> None:
+    reader_of(target.world, target.node)
+    locators = (Locator(19, 9, bytes(16)), udp_locator((HOST, 7000)))
+    target.announce(endpoint_payload(endpoint(1, locators=locators)))
+    assert (HOST, 7000) in [address for address, _ in target.answers(AckNack)]
 
 
-def test_a_heartbeat_that_comes_before_its_writer_is_known_is_answered() -> None:
+def requests(target: Target) -> list[AckNack]:
+    """Return what was requested of the first endpoint."""
+    asked = [nack for _, nack in target.answers(AckNack)]
+    return [nack for nack in asked if nack.writer == FIRST.guid.entity]
+
+
+def test_a_heartbeat_that_comes_before_its_writer_is_known_is_answered(target: Target) -> None:
     """Fast DDS sends it before its discovery has told of the writer, and the next one in 3 s."""
-    world = World()
-    node = world.join()
-    reader_of(world, node)
-    peer = Announcer(world, node)
-    entity = endpoint(1).guid.entity
-    asked = world.heard(AckNack)
-    early = WriterHeartbeat(UNKNOWN_ENTITY, entity, 4, 5, 1)
-    receive(world, node, packet(early))
-    peer.send(endpoint_payload(endpoint(1)))
-    nacks = [each for _, _, each in asked if each.writer == entity]
-    assert [each.missing for each in nacks] == [NumberSet(4, (4, 5))]
+    reader_of(target.world, target.node)
+    target.receive(hello())
+    target.receive(WriterHeartbeat(UNKNOWN_ENTITY, FIRST.guid.entity, 4, 5, 1))
+    target.announce(endpoint_payload(FIRST))
+    assert [each.missing for each in requests(target)] == [NumberSet(4, (4, 5))]
 
 
 @pytest.mark.parametrize("has_heartbeat", [True, False])
 @pytest.mark.parametrize("in_fragments", [True, False])
 def test_samples_that_come_before_their_writer_is_known_are_requested_when_it_is(
-    *, has_heartbeat: bool, in_fragments: bool
+    *, has_heartbeat: bool, in_fragments: bool, target: Target
 ) -> None:
     """A client of Fast DDS sends its first request so, and says what it has sent only in 3 s."""
-    world = World()
-    node = world.join()
-    reader = reader_of(world, node)
-    peer = Announcer(world, node)
-    entity, to = endpoint(1).guid.entity, reader.guid.entity
-    asked = world.heard(AckNack)
+    reader = reader_of(target.world, target.node)
+    target.receive(hello())
+    ends = reader.guid.entity, FIRST.guid.entity
     if has_heartbeat:
-        receive(world, node, packet(WriterHeartbeat(to, entity, 1, 0, 1)))
+        target.receive(WriterHeartbeat(*ends, 1, 0, 1))
     for number in (2, 1):
-        sample: Data | DataFragment = Data(to, entity, number, bytes(8))
+        sample: Data | DataFragment = Data(*ends, number, bytes(8))
         if in_fragments:
-            sample = DataFragment(to, entity, number, 1, 1, 8, 16, memoryview(bytes(8)))
-        receive(world, node, packet(sample))
-    peer.send(endpoint_payload(endpoint(1)))
-    (nack,) = [each for _, _, each in asked if each.writer == entity]
+            sample = DataFragment(*ends, number, 1, 1, 8, 16, memoryview(bytes(8)))
+        target.receive(sample)
+    target.announce(endpoint_payload(FIRST))
+    (nack,) = requests(target)
     # Without a heartbeat, the writer is asked for one: Fast DDS answers this at once.
     assert nack.missing == (NumberSet(1, (1, 2)) if has_heartbeat else NumberSet(0))
     assert not nack.is_final
@@ -551,19 +470,12 @@ def test_a_participant_is_reached_at_one_of_its_addresses(
     assert reachable(locators, heard_from) == (reached and (reached, 7412))
 
 
-def test_a_participant_with_addresses_of_ipv6_only_is_found_and_answered() -> None:
+def test_a_participant_with_addresses_of_ipv6_only_is_found_and_answered(target: Target) -> None:
     source = ("fd00::99", 7410)
-    world = World()
-    node = world.join()
-    reader_of(world, node)
-    world.flush()  # its first announcement
-    heard = world.heard(Data)
-    locators = (udp_locator(source), udp_locator(("fe80::99", 7410)))
-    content = hello(discovery_locators=locators, data_locators=locators)
-    node.participant.receive(content, source, world.now)
-    world.flush()
-    (remote,) = node.participant.remote_participants
-    assert {address for _, address, _ in heard} == {source}
+    reader_of(target.world, target.node)
+    target.receive(hello(STRANGER, source, ("fe80::99", 7410)), host=source[0])
+    (remote,) = target.participant.remote_participants
+    assert {address for address, _ in target.answers(Data)} == {source}
     assert all(map(remote.is_at, ("fd00::99", "::1")))
     assert not any(map(remote.is_at, ("fd00::98", "fe80::99")))
 
@@ -576,7 +488,7 @@ ALIVE = Qos(liveliness_lease=1.0)
 def test_a_writer_that_promises_to_be_alive_is_followed() -> None:
     world = World(2, loss=0.1)
     one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    writer = writer_of(world, one, ALIVE)
     reader = reader_of(world, other, ALIVE)
     assert world.run_until(lambda: bool(reader.writers))
     world.run(10.0)
@@ -599,7 +511,7 @@ def test_a_writer_that_promises_to_be_alive_is_followed() -> None:
 def test_a_reader_with_a_longer_lease_misses_a_silent_writer_later() -> None:
     world = World(2)
     one, other = world.pair()
-    one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    writer_of(world, one, ALIVE)
     patient = reader_of(world, other, Qos(liveliness_lease=5 * ALIVE.liveliness_lease))
     assert world.run_until(lambda: bool(patient.writers))
     world.kill(one)
@@ -614,9 +526,9 @@ def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
     world = World()
     one, other = world.pair()
     qos = Qos(liveliness=kind, liveliness_lease=1.0)
-    writer = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
-    second = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
-    one.participant.create_writer(TOPIC, TYPE, ALIVE, world.now)
+    writer = writer_of(world, one, qos)
+    second = writer_of(world, one, qos)
+    writer_of(world, one, ALIVE)
     reader = reader_of(world, other)
     world.run(0.5)
     for _ in range(5):
@@ -627,7 +539,7 @@ def test_a_sample_shows_that_its_writer_is_alive(kind: Liveliness) -> None:
     world.run(1.0)
     beat = WriterHeartbeat(reader.guid.entity, writer.guid.entity, 1, 5, 99, is_alive=True)
     prefix = one.participant.prefix
-    other.participant.receive(packet(beat, prefix=prefix), (one.host, 7410), world.now)
+    other.participant.receive(packet(prefix, beat), (one.host, 7410), world.now)
     world.flush()
     assert LivelinessChanged(reader.guid, writer.guid, is_alive=True) in other.told
 
@@ -637,7 +549,7 @@ def test_only_participants_with_a_reader_of_a_promising_writer_are_told_that_it_
     one, other, third = world.join(), world.join(), world.join()
     world.run(0.5)
     qos = Qos(liveliness_lease=0.3)
-    writer = one.participant.create_writer(TOPIC, TYPE, qos, world.now)
+    writer = writer_of(world, one, qos)
     world.run(2.0)
     reader = reader_of(world, other, qos)
     reader_of(world, third, topic="rt/another")

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from fibaction.words.errors import LimitReached
 from fibaction_transports.rtps.endpoints.history import StoredSample
-from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import padded
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import SamplesLost
@@ -16,7 +15,6 @@ from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
 from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid
-from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,
@@ -28,15 +26,18 @@ from fibaction_transports.rtps.messages.submessages import (
     WriterHeartbeat,
 )
 from fibaction_transports.rtps.qos import Durability, Qos, Reliability
-from tests.transports.rtps.world import TOPIC, TYPE, Node, World, payload, reader_of
+from tests.transports.rtps.world import (
+    KEEP_ALL,
+    Link,
+    World,
+    payload,
+    reader_of,
+    writer_of,
+    writers_in,
+)
 
-KEEP_ALL = Qos(depth=None)
 LATE = Qos(durability=Durability.TRANSIENT_LOCAL, depth=3)
 BEST_EFFORT = Qos(reliability=Reliability.BEST_EFFORT)
-
-
-def writer_of(world: World, node: Node, qos: Qos = KEEP_ALL) -> DataWriter:
-    return node.participant.create_writer(TOPIC, TYPE, qos, world.now)
 
 
 def write(world: World, writer: DataWriter, *texts: str) -> None:
@@ -76,24 +77,18 @@ def test_every_sample_of_a_reliable_writer_arrives_in_order_and_once(
 
 
 def test_a_sample_of_a_megabyte_arrives_with_loss() -> None:
-    world = World(3, loss=0.2, delay=0.002)
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    link = Link(world=World(3, loss=0.2, delay=0.002))
     text = "".join(map(str, range(200_000)))[:1_000_000]
-    write(world, writer, text, "after")
-    assert world.run_until(lambda: len(other.texts(reader)) == 2)
-    assert other.texts(reader) == [text, "after"]
+    link.write(text, "after")
+    assert link.world.run_until(lambda: len(link.texts) == 2)
+    assert link.texts == [text, "after"]
 
 
 def test_no_fragment_is_sent_twice_if_none_is_lost() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    fragments = world.heard(DataFragment)
-    write(world, writer, "x" * 1_000_000)
-    assert world.run_until(lambda: bool(other.texts(reader)))
+    link = Link()
+    fragments = link.world.heard(DataFragment)
+    link.write("x" * 1_000_000)
+    assert link.world.run_until(lambda: bool(link.texts))
     assert [each.first for _, _, each in fragments] == list(range(1, 17))
 
 
@@ -148,18 +143,15 @@ def test_a_reader_that_comes_late_gets_the_first_sample_that_is_for_it() -> None
 
 
 def test_of_samples_that_follow_each_other_fast_few_have_a_heartbeat() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    heartbeats = world.heard(WriterHeartbeat)
-    for number in range(200):
-        write(world, writer, str(number))
-        world.run(0.0005)
+    link = Link()
+    heartbeats = link.world.heard(WriterHeartbeat)
+    for number in numbers(200):
+        link.write(number)
+        link.world.run(0.0005)
     assert len(heartbeats) <= 20
-    world.run(1.0)
-    assert other.texts(reader) == numbers(200)
-    assert writer.kept == 0  # the last ones are acknowledged, too
+    link.world.run(1.0)
+    assert link.texts == numbers(200)
+    assert link.writer.kept == 0  # the last ones are acknowledged, too
 
 
 def test_a_writer_tells_whether_all_but_the_newest_samples_have_arrived() -> None:
@@ -181,55 +173,36 @@ def test_a_writer_tells_whether_all_but_the_newest_samples_have_arrived() -> Non
 
 
 def test_samples_have_a_heartbeat_each_while_a_reader_lacks_older_ones() -> None:
-    world = World()
-    one, other = world.pair()
-    writer = writer_of(world, one)
-    reader_of(world, other)
-    world.run(1.0)
-    world.is_lost = lambda *_: True
-    write(world, writer, "lost")
-    world.flush()
-    world.is_lost = lambda *_: False
-    write(world, writer, "comes")
-    world.run(0.0062)  # the request is under way, and its answer is not
-    heartbeats = world.heard(WriterHeartbeat)
-    for number in range(5):
-        write(world, writer, str(number))
-        world.flush()
+    link = Link()
+    link.lose("lost")
+    link.write("comes")
+    link.world.run(0.0062)  # the request is under way, and its answer is not
+    heartbeats = link.world.heard(WriterHeartbeat)
+    for number in numbers(5):
+        link.write(number)
+        link.world.flush()
     assert [each.last for _, _, each in heartbeats] == [3, 4, 5, 6, 7]
 
 
 def test_a_lost_sample_comes_soon_after_the_next_one_though_that_has_no_heartbeat() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    write(world, writer, "0")
-    world.run(0.001)
-    world.is_lost = lambda *_: True
-    write(world, writer, "1")
-    world.flush()
-    world.is_lost = lambda *_: False
-    write(world, writer, "2")
-    world.run(0.008)
-    assert other.texts(reader) == ["0", "1", "2"]
+    link = Link()
+    link.write("0")
+    link.world.run(0.001)
+    link.lose("1")
+    link.write("2")
+    link.world.run(0.008)
+    assert link.texts == numbers(3)
 
 
 def test_samples_beyond_the_depth_are_lost_to_a_slow_reader_which_is_told() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one, Qos(depth=2)), reader_of(world, other)
-    world.run(1.0)
-    write(world, writer, "0")
-    world.run(1.0)
-    world.is_lost = lambda *_: True
-    for number in range(1, 10):
-        write(world, writer, str(number))
-        world.flush()
-    world.is_lost = lambda *_: False
-    world.run(5.0)
-    assert other.texts(reader) == ["0", "8", "9"]
-    assert [(event.writer, event.count) for event in other.all(SamplesLost)] == [(writer.guid, 7)]
+    link = Link(Qos(depth=2))
+    link.write("0")
+    link.world.run(1.0)
+    link.lose(*numbers(1, 10))
+    link.world.run(5.0)
+    assert link.texts == ["0", "8", "9"]
+    lost = [(event.writer, event.count) for event in link.other.all(SamplesLost)]
+    assert lost == [(link.writer.guid, 7)]
 
 
 def test_best_effort_samples_arrive_in_order_and_are_not_sent_again() -> None:
@@ -308,76 +281,59 @@ def test_a_full_history_rejects_samples_until_readers_have_acknowledged() -> Non
 
 
 def test_a_reader_that_is_silent_for_long_keeps_nothing_back() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    world.kill(other)
-    write(world, writer, "0")
-    world.run(9.0)
-    assert writer.acknowledged(world.now) == 0
-    world.run(2.0)
-    write(world, writer, "1")
-    assert list(writer.readers) == [reader.guid]
-    assert writer.kept == 0
+    link = Link()
+    link.world.kill(link.other)
+    link.write("0")
+    link.world.run(9.0)
+    assert link.writer.acknowledged(link.world.now) == 0
+    link.world.run(2.0)
+    link.write("1")
+    assert list(link.writer.readers) == [link.reader.guid]
+    assert link.writer.kept == 0
 
 
-def asking(*texts: str) -> tuple[World, Node, DataWriter, DataReader]:
-    """Return a reader that asks for these samples, which are lost each time."""
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-
-    def is_lost(datagram: bytes, _: Address) -> bool:
-        samples = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
-        return any(sample.writer == writer.guid.entity for sample in samples)
-
-    world.is_lost = is_lost
-    write(world, writer, *texts)
-    return world, other, writer, reader
+def asking(*texts: str) -> Link:
+    """Return a link whose reader asks for these samples, which are lost each time."""
+    link = Link()
+    entity = link.writer.guid.entity
+    link.world.is_lost = lambda datagram, _: entity in writers_in(datagram, Data)
+    link.write(*texts)
+    return link
 
 
 def test_a_reader_that_asks_for_a_minute_gets_what_it_lacks() -> None:
-    world, other, writer, reader = asking("0", "1")
-    world.run(55.0)
-    assert other.texts(reader) == []
-    world.is_lost = lambda *_: False
-    world.run(5.0)
-    assert other.texts(reader) == ["0", "1"]
-    assert writer.kept == 0
+    link = asking("0", "1")
+    link.world.run(55.0)
+    assert link.texts == []
+    link.world.is_lost = lambda *_: False
+    link.world.run(5.0)
+    assert link.texts == ["0", "1"]
+    assert link.writer.kept == 0
 
 
-def test_a_reader_that_asks_for_longer_keeps_nothing_back() -> None:
-    world, _, writer, _ = asking("0")
-    world.run(62.0)
-    assert writer.kept == 0
-
-
-def test_many_samples_are_not_kept_for_a_reader_that_asks() -> None:
-    world, _, writer, _ = asking(*numbers(257))
-    world.run(9.0)
-    assert writer.kept == 257
-    world.run(3.0)
-    assert writer.kept == 0
-
-
-def test_large_samples_are_not_kept_for_a_reader_that_asks() -> None:
-    world, _, writer, _ = asking(*["x" * 60_000] * 18)
-    world.run(9.0)
-    assert writer.kept == 18
-    world.run(3.0)
-    assert writer.kept == 0
+@pytest.mark.parametrize(
+    ("texts", "kept_for", "gone_after"),
+    [
+        pytest.param(["0"], 55.0, 62.0, id="few"),
+        pytest.param(["many"] * 257, 9.0, 12.0, id="many"),
+        pytest.param(["x" * 60_000] * 18, 9.0, 12.0, id="large"),
+    ],
+)
+def test_samples_are_not_kept_for_longer_for_a_reader_that_asks(
+    texts: list[str], kept_for: float, gone_after: float
+) -> None:
+    link = asking(*texts)
+    link.world.run(kept_for)
+    assert link.writer.kept == len(texts)
+    link.world.run(gone_after - kept_for)
+    assert link.writer.kept == 0
 
 
 def test_a_sample_is_kept_for_a_reader_that_was_found_long_ago_and_has_not_answered() -> None:
     world = World()
     one, other = world.pair()
     writer, reader = writer_of(world, one), reader_of(world, other)
-    entity = writer.guid.entity
-    world.is_lost = lambda datagram, _: any(
-        getattr(each, "writer", b"") == entity for each in read_packet(datagram).submessages
-    )
+    world.is_lost = lambda datagram, _: writer.guid.entity in writers_in(datagram)
     world.run(15.0)
     assert list(writer.readers) == [reader.guid]
     write(world, writer, "0")
@@ -392,44 +348,34 @@ def test_a_sample_is_kept_for_a_reader_that_was_found_long_ago_and_has_not_answe
 
 
 def test_a_sample_has_the_time_and_the_parameters_of_its_writer() -> None:
-    world = World()
-    one, other = world.pair()
-    writer = writer_of(world, one)
-    reader = reader_of(world, other)
-    world.run(1.0)
-    stamp = 1_700_000_000.123456789
-    writer.write(payload("a"), world.now, time=stamp, inline_qos=[(0x83, b"x" * 24)])
-    writer.write(payload("b"), world.now)
-    writer.write(payload("c" * 100_000), world.now, time=stamp, inline_qos=[(0x83, b"y" * 24)])
-    world.run(1.0)
-    samples = other.samples(reader)
+    link, stamp = Link(), 1_700_000_000.123456789
+    writer, now = link.writer, link.world.now
+    writer.write(payload("a"), now, time=stamp, inline_qos=[(0x83, b"x" * 24)])
+    writer.write(payload("b"), now)
+    writer.write(payload("c" * 100_000), now, time=stamp, inline_qos=[(0x83, b"y" * 24)])
+    link.world.run(1.0)
+    samples = link.other.samples(link.reader)
     assert [sample.time for sample in samples] == [pytest.approx(stamp, abs=1e-6), None, stamp]
     values = [s.inline_qos and s.inline_qos.all(0x83) for s in samples]
     assert values == [[b"x" * 24], None, [b"y" * 24]]
 
 
 def test_a_reader_asks_when_it_is_told_to() -> None:
-    world = World()
-    one, other = world.pair()
-    writer_of(world, one)
-    reader, unreliable = reader_of(world, other), reader_of(world, other, BEST_EFFORT)
-    world.run(1.0)
-    reader.ask(world.now)
-    unreliable.ask(world.now)
-    ((datagram, _),) = other.participant.datagrams_to_send()
-    (nack,) = [each for each in read_packet(datagram).submessages if isinstance(each, AckNack)]
-    assert nack.reader == reader.guid.entity
-    assert not nack.is_final
+    link = Link()
+    unreliable = reader_of(link.world, link.other, BEST_EFFORT)
+    link.world.run(1.0)
+    link.reader.ask(link.world.now)
+    unreliable.ask(link.world.now)
+    (packet,) = link.other.sent()
+    (nack,) = [each for each in packet if isinstance(each, AckNack)]
+    assert (nack.reader, nack.is_final) == (link.reader.guid.entity, False)
     assert nack.missing.base == 1
 
 
 def test_several_samples_and_their_heartbeat_travel_in_one_datagram() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    write(world, writer, *numbers(100), *("x" * 60_000 for _ in range(3)))
-    datagrams = [datagram for datagram, _ in one.participant.datagrams_to_send()]
+    link = Link()
+    link.write(*numbers(100), *("x" * 60_000 for _ in range(3)))
+    datagrams = [datagram for datagram, _ in link.one.participant.datagrams_to_send()]
     assert len(datagrams) == 4  # the first one has as many samples as one may have
     assert max(map(len, datagrams)) < 65_507
     packets = [read_packet(datagram).submessages for datagram in datagrams]
@@ -437,9 +383,9 @@ def test_several_samples_and_their_heartbeat_travel_in_one_datagram() -> None:
     assert heartbeat.last == 103  # one for all
     assert not any(isinstance(each, Timestamp) for each in packets[0])
     for datagram in datagrams:
-        other.participant.receive(datagram, (one.host, 7410), world.now)
-    world.flush()
-    assert len(other.texts(reader)) == 103
+        link.other.participant.receive(datagram, (link.one.host, 7410), link.world.now)
+    link.world.flush()
+    assert len(link.texts) == 103
 
 
 def test_a_reader_that_a_sample_is_not_for_gets_what_it_lacked_before() -> None:
@@ -461,52 +407,50 @@ def test_a_reader_that_a_sample_is_not_for_gets_what_it_lacked_before() -> None:
 
 
 def test_a_sample_for_two_readers_of_one_participant_is_sent_once() -> None:
-    world = World()
-    one, other = world.pair()
-    writer = writer_of(world, one)
-    readers = [reader_of(world, other), reader_of(world, other, BEST_EFFORT)]
-    world.run(1.0)
-    write(world, writer, "x" * 10_000)
-    ((datagram, _),) = one.participant.datagrams_to_send()
-    (sample,) = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
+    link = Link()
+    readers = [link.reader, reader_of(link.world, link.other, BEST_EFFORT)]
+    link.world.run(1.0)
+    samples = link.world.heard(Data)
+    link.write("x" * 10_000)
+    link.world.run(0.01)
+    ((_, address, sample),) = samples
     assert sample.reader == UNKNOWN_ENTITY
-    other.participant.receive(datagram, (one.host, 7410), world.now)
-    world.flush()
-    assert [len(other.texts(each)) for each in readers] == [1, 1]
+    assert address == (link.other.host, 7411)
+    assert [len(link.other.texts(each)) for each in readers] == [1, 1]
 
 
 def test_a_sample_that_is_repeated_before_it_is_sent_is_sent_once() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one), reader_of(world, other)
-    world.run(1.0)
-    write(world, writer, "a")
-    nack = AckNack(reader.guid.entity, writer.guid.entity, NumberSet(1, (1,)), 1000)
-    writer.receive_acknack(reader.guid, nack, world.now + 1.0)
-    ((datagram, _),) = one.participant.datagrams_to_send()
-    (sample,) = [each for each in read_packet(datagram).submessages if isinstance(each, Data)]
-    assert sample.reader == reader.guid.entity
-    assert one.participant.outbox.count == 0
+    link = Link()
+    link.write("a")
+    reader = link.reader.guid
+    nack = AckNack(reader.entity, link.writer.guid.entity, NumberSet(1, (1,)), 1000)
+    link.writer.receive_acknack(reader, nack, link.world.now + 1.0)
+    (packet,) = link.one.sent()
+    (sample,) = [each for each in packet if isinstance(each, Data)]
+    assert sample.reader == reader.entity
+    assert link.one.participant.outbox.count == 0
 
 
-def test_a_payload_without_an_encapsulation_header_is_rejected() -> None:
+@pytest.mark.parametrize(
+    ("content", "inline_qos", "message"),
+    [
+        (b"abc", [], "no encapsulation header of 4 bytes"),
+        (payload("a"), [(1, b"x"), (2, bytes(1024))], "inline QoS of 1025 bytes exceed 1024 bytes"),
+    ],
+)
+def test_a_sample_that_cannot_be_sent_is_rejected(
+    content: bytes, inline_qos: list[tuple[int, bytes]], message: str
+) -> None:
     world = World()
     writer = writer_of(world, world.join())
-    with pytest.raises(ValueError, match="no encapsulation header of 4 bytes"):
-        writer.write(b"abc", world.now)
+    with pytest.raises(ValueError, match=message):
+        writer.write(content, world.now, inline_qos=inline_qos)
 
 
 def test_a_depth_that_keeps_nothing_is_rejected() -> None:
     world = World()
     with pytest.raises(ValueError, match="depth 0 keeps no sample: use 1 or more"):
         writer_of(world, world.join(), Qos(depth=0))
-
-
-def test_inline_qos_that_are_too_long_are_rejected() -> None:
-    world = World()
-    writer = writer_of(world, world.join())
-    with pytest.raises(ValueError, match="inline QoS of 1025 bytes exceed 1024 bytes"):
-        writer.write(payload("a"), world.now, inline_qos=[(1, b"x"), (2, bytes(1024))])
 
 
 def test_samples_are_kept_until_the_last_reader_has_them() -> None:
@@ -535,17 +479,15 @@ def test_samples_before_a_reader_came_are_not_announced_and_not_sent_to_it() -> 
     world.run(1.0)
     world.is_lost = lambda *_: True
     write(world, writer, "3")
-    ((datagram, address),) = one.participant.datagrams_to_send()
-    heartbeat = read_packet(datagram).submessages[-1]
+    (packet,) = one.sent()
+    heartbeat = packet[-1]
     assert isinstance(heartbeat, WriterHeartbeat)
     assert (heartbeat.first, heartbeat.last) == (4, 4)
     world.run(0.01)
     nack = AckNack(reader.guid.entity, writer.guid.entity, NumberSet(1, (1, 2, 3)), 9)
     writer.receive_acknack(reader.guid, nack, world.now)
-    ((datagram, _),) = one.participant.datagrams_to_send()
-    kinds = [type(each) for each in read_packet(datagram).submessages]
-    assert kinds == [Destination, Gap, WriterHeartbeat]
-    assert address == (other.host, 7411)
+    (packet,) = one.sent()
+    assert [type(each) for each in packet] == [Destination, Gap, WriterHeartbeat]
 
 
 def test_a_gap_may_be_longer_than_the_window() -> None:
@@ -647,21 +589,14 @@ def test_a_writer_is_confirmed_when_its_heartbeat_shows_that_it_has_found_the_re
     world = World()
     one, other = world.pair()
     writer = writer_of(world, one)
-    is_found = False
-
-    def is_lost(datagram: bytes, address: object) -> bool:
-        heartbeats = (
-            each for each in read_packet(datagram).submessages if isinstance(each, WriterHeartbeat)
-        )
-        return not is_found and any(each.writer == writer.guid.entity for each in heartbeats)
-
-    world.is_lost = is_lost
+    entity = writer.guid.entity
+    world.is_lost = lambda datagram, _: entity in writers_in(datagram, WriterHeartbeat)
     reader, modest = reader_of(world, other), reader_of(world, other, BEST_EFFORT)
     world.run(1.0)
     assert reader.writers == modest.writers == [writer.guid]
     assert reader.confirmed_writers == set()
     assert modest.confirmed_writers == {writer.guid}
-    is_found = True
+    world.is_lost = lambda *_: False
     assert world.run_until(lambda: reader.confirmed_writers == {writer.guid}, 3.0)
 
 
@@ -686,12 +621,9 @@ def test_the_ends_of_one_participant_exchange_samples_and_a_paused_reader_is_wai
 
 
 def test_a_reader_goes_on_before_its_writer_has_told_of_samples() -> None:
-    world = World()
-    one, other = world.pair()
-    writer, reader = writer_of(world, one, BEST_EFFORT), reader_of(world, other, BEST_EFFORT)
-    assert world.run_until(lambda: bool(writer.readers and reader.writers))
+    link = Link(BEST_EFFORT, BEST_EFFORT)
     for is_paused in (True, False):
-        reader.pause(world.now, is_paused=is_paused)
-    write(world, writer, "a")
-    world.run(0.1)
-    assert other.texts(reader) == ["a"]
+        link.reader.pause(link.world.now, is_paused=is_paused)
+    link.write("a")
+    link.world.run(0.1)
+    assert link.texts == ["a"]

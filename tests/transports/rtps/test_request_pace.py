@@ -13,11 +13,9 @@ from fibaction_transports.rtps.endpoints.catch_up import (
     AnswerTime,
     RequestPace,
 )
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
-from fibaction_transports.rtps.messages.ids import OWN_VENDOR
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
-from fibaction_transports.rtps.qos import Qos
-from tests.transports.rtps.world import TOPIC, TYPE, World, payload, reader_of
+from tests.transports.rtps.target import packet
+from tests.transports.rtps.world import Link
 
 
 def requests(pace: RequestPace, last: int, *times: float) -> list[float]:
@@ -68,20 +66,14 @@ def test_the_pause_of_an_answer_is_within_bounds(seconds: float, pause: float) -
 
 
 def test_heartbeats_that_overtake_the_answer_do_not_multiply_it() -> None:
-    world = World()
-    one, other = world.pair()
-    writer = one.participant.create_writer(TOPIC, TYPE, Qos(depth=None), world.now)
-    reader = reader_of(world, other)
-    world.run(1.0)
-    world.is_lost = lambda _, to: to[0] == other.host
-    for number in range(20):
-        writer.write(payload(str(number)), world.now)
-    world.flush()
-    world.is_lost = lambda _, to: to[0] == one.host  # the requests are only counted
+    link = Link()
+    world = link.world
+    link.lose(*"abcdefghijklmnopqrst")
+    world.is_lost = lambda _, to: to[0] == link.one.host  # the requests are only counted
     sent = world.sent
     for count in range(40):
-        beat = WriterHeartbeat(reader.guid.entity, writer.guid.entity, 1, 20, 1000 + count)
-        datagram = packet_head(OWN_VENDOR, one.participant.prefix) + submessage_bytes(beat)
-        other.participant.receive(datagram, (one.host, 7410), world.now + 0.003 * count)
+        ends = link.reader.guid.entity, link.writer.guid.entity
+        beat = packet(link.one.participant.prefix, WriterHeartbeat(*ends, 1, 20, 1000 + count))
+        link.other.participant.receive(beat, (link.one.host, 7410), world.now + 0.003 * count)
         world.flush()
     assert 2 <= world.sent - sent <= 5

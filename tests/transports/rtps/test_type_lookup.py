@@ -130,12 +130,6 @@ def test_a_participant_is_asked_and_only_its_answer_to_this_question_is_told() -
     assert one.participant.ask_types(prefix, [TYPE], world.now) == 0
 
 
-def test_a_participant_that_does_not_answer_is_not_asked() -> None:
-    world = World()
-    one, other = world.pair()
-    assert one.participant.ask_types(other.participant.prefix, [TYPE], world.now) == 0
-
-
 def test_an_answer_to_nobody_in_particular_is_for_the_reader_of_answers() -> None:
     one = World().join().participant
     writer = Guid(bytes(12) + ids.TYPE_ANSWERS_WRITER)

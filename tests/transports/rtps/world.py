@@ -9,8 +9,11 @@ from collections.abc import Callable
 from random import Random
 from typing import TypeVar
 
+from msgspec import Struct
+
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
+from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.decoder import read_packet
@@ -21,6 +24,7 @@ from fibaction_transports.rtps.qos import Qos
 
 GROUP = ("239.255.0.1", 7400)
 TOPIC, TYPE = "rt/chatter", "std_msgs::msg::dds_::String_"
+KEEP_ALL = Qos(depth=None)
 E = TypeVar("E")
 S = TypeVar("S", bound=Submessage)
 
@@ -50,6 +54,11 @@ class Node:
     def texts(self, reader: DataReader) -> list[str]:
         """Return the texts that a reader has received."""
         return [sample.payload[4:].decode() for sample in self.samples(reader)]
+
+    def sent(self) -> list[tuple[Submessage, ...]]:
+        """Take the datagrams that it wants to send; return the submessages of each."""
+        datagrams = self.participant.datagrams_to_send()
+        return [read_packet(datagram).submessages for datagram, _ in datagrams]
 
 
 class World:
@@ -157,6 +166,49 @@ class World:
                 node.participant.receive(datagram, source, self.now)
 
 
+def writers_in(datagram: bytes, kind: type[Struct] = Struct) -> set[bytes]:
+    """Return the entities of the writers that the submessages of a kind in a datagram name."""
+    found = read_packet(datagram).submessages
+    return {getattr(each, "writer", b"") for each in found if isinstance(each, kind)}
+
+
 def reader_of(world: World, node: Node, qos: Qos | None = None, topic: str = TOPIC) -> DataReader:
     """Create a reader."""
     return node.participant.create_reader(topic, TYPE, qos or Qos(), world.now)
+
+
+def writer_of(world: World, node: Node, qos: Qos = KEEP_ALL, topic: str = TOPIC) -> DataWriter:
+    """Create a writer."""
+    return node.participant.create_writer(topic, TYPE, qos, world.now)
+
+
+class Link:
+    """A writer of one participant and a reader of another, which have found each other."""
+
+    def __init__(
+        self, offered: Qos = KEEP_ALL, requested: Qos | None = None, world: World | None = None
+    ) -> None:
+        self.world = world or World()
+        self.one, self.other = self.world.pair()
+        self.writer = writer_of(self.world, self.one, offered)
+        self.reader = reader_of(self.world, self.other, requested)
+        assert self.world.run_until(lambda: bool(self.writer.readers and self.reader.writers))
+        self.world.run(1.0)
+
+    @property
+    def texts(self) -> list[str]:
+        """The texts that the reader has received."""
+        return self.other.texts(self.reader)
+
+    def write(self, *texts: str) -> None:
+        """Write a sample with each text."""
+        for text in texts:
+            self.writer.write(payload(text), self.world.now)
+
+    def lose(self, *texts: str) -> None:
+        """Write samples, each of which is lost with its heartbeat."""
+        self.world.is_lost = lambda *_: True
+        for text in texts:
+            self.write(text)
+            self.world.flush()
+        self.world.is_lost = lambda *_: False
