@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fibaction_transports.rtps.limits import RtpsLimits
-from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.codec import read_packet
 from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability

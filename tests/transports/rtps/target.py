@@ -9,8 +9,7 @@ from fibaction_transports.rtps.discovery.remote_participant import (
     participant_payload,
 )
 from fibaction_transports.rtps.limits import RtpsLimits
-from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.codec import packet_head, read_packet, submessage_bytes
 from fibaction_transports.rtps.messages.ids import (
     FAST_DDS,
     PUBLICATIONS_WRITER,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.events import ParticipantFound, ParticipantLost, SamplesLost
 from fibaction_transports.rtps.limits import MIB, RtpsLimits
-from fibaction_transports.rtps.messages.encoder import packet_head
+from fibaction_transports.rtps.messages.codec import packet_head
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid
 from fibaction_transports.rtps.messages.layout import MAX_NUMBER
 from fibaction_transports.rtps.messages.submessages import (

@@ -23,7 +23,7 @@ from fibaction_transports.rtps.events import (
     QosMismatch,
 )
 from fibaction_transports.rtps.messages import parameters as pids
-from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.codec import read_packet
 from fibaction_transports.rtps.messages.ids import (
     FAST_DDS,
     LIVELINESS_WRITER,

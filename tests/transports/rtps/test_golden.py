@@ -8,8 +8,7 @@ from fibaction_transports.rtps.discovery.remote_endpoints import read_endpoint
 from fibaction_transports.rtps.discovery.remote_participant import read_participant
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.messages import parameters as pids
-from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.encoder import submessage_bytes
+from fibaction_transports.rtps.messages.codec import read_packet, submessage_bytes
 from fibaction_transports.rtps.messages.ids import CYCLONE_DDS, FAST_DDS, Guid
 from fibaction_transports.rtps.messages.parameters import read_list
 from fibaction_transports.rtps.messages.submessages import (

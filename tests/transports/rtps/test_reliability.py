@@ -7,13 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fibaction.words.errors import LimitReached
-from fibaction_transports.rtps.endpoints.history import StoredSample
-from fibaction_transports.rtps.endpoints.sample import padded
+from fibaction_transports.rtps.endpoints.sample import StoredSample, padded
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import SamplesLost
 from fibaction_transports.rtps.limits import RtpsLimits
-from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.codec import packet_head, read_packet, submessage_bytes
 from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, Guid
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,

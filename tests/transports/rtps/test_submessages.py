@@ -10,8 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fibaction_transports.rtps.messages import layout
-from fibaction_transports.rtps.messages.decoder import read_packet
-from fibaction_transports.rtps.messages.encoder import packet_head, submessage_bytes
+from fibaction_transports.rtps.messages.codec import packet_head, read_packet, submessage_bytes
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     LITTLE,

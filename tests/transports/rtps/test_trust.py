@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
-from fibaction_transports.rtps.endpoints.history import History, StoredSample
 from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
-from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
+from fibaction_transports.rtps.endpoints.sample import DISPOSED, History, Sample, StoredSample
 from fibaction_transports.rtps.endpoints.writer_proxy import MOST_REQUESTS
 from fibaction_transports.rtps.events import (
     EndpointMatched,

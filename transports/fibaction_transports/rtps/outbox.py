@@ -9,7 +9,7 @@ from typing import NamedTuple
 from msgspec import Struct, structs
 
 from fibaction_transports.rtps.limits import PeerBudget, RtpsCounters
-from fibaction_transports.rtps.messages.encoder import (
+from fibaction_transports.rtps.messages.codec import (
     DESTINATION_HEAD,
     packet_head,
     submessage_bytes,

@@ -25,12 +25,10 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.discovery.builtin_endpoints import BuiltinEndpoints
-from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointDiscovery
+from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointDiscovery, Matcher
 from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
 from fibaction_transports.rtps.discovery.liveliness import Assertions, WriterLiveliness
-from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.discovery.matcher import Matcher
+from fibaction_transports.rtps.discovery.local_endpoints import BuiltinEndpoints, LocalEndpoints
 from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, RemoteEndpoints
 from fibaction_transports.rtps.discovery.remote_participant import (
     ParticipantData,
@@ -43,7 +41,7 @@ from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.limits import RtpsCounters, RtpsLimits
-from fibaction_transports.rtps.messages.decoder import read_packet
+from fibaction_transports.rtps.messages.codec import read_packet
 from fibaction_transports.rtps.messages.ids import (
     KEYLESS_READER,
     KEYLESS_WRITER,

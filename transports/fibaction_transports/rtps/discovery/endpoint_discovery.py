@@ -1,22 +1,126 @@
-"""The announcements of endpoints, own and others' (SEDP)."""
+"""The announcements of endpoints (SEDP), and the rule which endpoints exchange samples."""
 
 from __future__ import annotations
 
-from fibaction_transports.rtps.discovery.matcher import Matcher
+import math
+
+import msgspec
+
+from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
+from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
+from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
 from fibaction_transports.rtps.discovery.remote_endpoints import (
     EndpointData,
     RemoteEndpoints,
     endpoint_payload,
     read_endpoint,
 )
-from fibaction_transports.rtps.endpoints.history import StoredSample
-from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample
+from fibaction_transports.rtps.endpoints.reader import DataReader, EarlyHeartbeats
+from fibaction_transports.rtps.endpoints.sample import DISPOSED, Sample, StoredSample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
+from fibaction_transports.rtps.events import EndpointMatched, EndpointUnmatched, QosMismatch
 from fibaction_transports.rtps.messages import parameters as pids
 from fibaction_transports.rtps.messages.ids import Guid
 from fibaction_transports.rtps.messages.layout import InvalidPacket
 from fibaction_transports.rtps.messages.parameters import Parameters, list_payload, read_list
+from fibaction_transports.rtps.qos import Qos, mismatches
+
+
+class Matcher:
+    """Matches the endpoints of this participant with those of others."""
+
+    def __init__(
+        self,
+        local: LocalEndpoints,
+        remote: RemoteEndpoints,
+        participants: KnownParticipants,
+        early: EarlyHeartbeats,
+        liveliness: WriterLiveliness,
+        shared: SharedParts,
+    ) -> None:
+        self._local = local
+        self._remote = remote
+        self._participants = participants
+        self._early = early
+        self._liveliness = liveliness
+        self._shared = shared
+
+    def match_local(self, endpoint: DataWriter | DataReader, now: float) -> None:
+        """Match a new endpoint of this participant with those of others."""
+        for data in self._remote.on_topic(endpoint.topic):
+            if data.guid.is_reader == isinstance(endpoint, DataWriter):
+                self._match(endpoint, data, now)
+
+    def match_own(self, endpoint: DataWriter | DataReader, now: float) -> None:
+        """Match a new endpoint with the others of this participant."""
+        if isinstance(endpoint, DataWriter):
+            pairs = [(endpoint, reader) for reader in self._local.user_readers()]
+        else:
+            pairs = [(writer, endpoint) for writer in self._local.user_writers()]
+        for writer, reader in pairs:
+            is_same = (writer.topic, writer.type_name) == (reader.topic, reader.type_name)
+            if is_same and not mismatches(writer.qos, reader.qos):
+                writer.match_own(reader, now)
+
+    def match_remote(self, data: EndpointData, now: float) -> None:
+        """Match a new endpoint of another participant with those of this one."""
+        for endpoint in self._local_opposites(data.guid):
+            if endpoint.topic == data.topic:
+                self._match(endpoint, data, now)
+
+    def unmatch_remote(self, guid: Guid, now: float) -> None:
+        """End the matches of an endpoint of another participant."""
+        for endpoint in self._local_opposites(guid):
+            if isinstance(endpoint, DataWriter):
+                was_matched = endpoint.unmatch(guid, now)
+            else:
+                was_matched = endpoint.unmatch(guid)
+                self._liveliness.forget(endpoint.guid, guid)
+            if was_matched:
+                self._shared.emit(EndpointUnmatched(endpoint.guid, guid))
+
+    def _local_opposites(self, guid: Guid) -> list[DataWriter] | list[DataReader]:
+        if guid.is_reader:
+            return self._local.user_writers()
+        return self._local.user_readers()
+
+    def _is_full(self, endpoint: DataWriter | DataReader, prefix: bytes) -> bool:
+        """Return whether an endpoint is matched with as many of one participant as it may be."""
+        matched = endpoint.readers if isinstance(endpoint, DataWriter) else endpoint.writers
+        most = self._shared.limits.matches_of_one
+        return len(matched) >= most and sum(1 for g in matched if g.prefix == prefix) >= most
+
+    def _match(self, endpoint: DataWriter | DataReader, data: EndpointData, now: float) -> None:
+        is_writer = isinstance(endpoint, DataWriter)
+        pair = (endpoint.qos, data.qos) if is_writer else (data.qos, endpoint.qos)
+        reasons = mismatches(*pair)
+        if endpoint.type_name != data.type_name:
+            reasons.insert(0, f"type: {endpoint.type_name} here, {data.type_name} there")
+        if reasons:
+            self._shared.emit(QosMismatch(endpoint.guid, data.guid, tuple(reasons)))
+            return
+        if self._is_full(endpoint, data.guid.prefix):
+            self._shared.counters.over_limit += 1
+            return
+        participant = self._participants.of(data.guid)
+        route = participant.route(data.locators)
+        self._shared.emit(EndpointMatched(endpoint.guid, data.guid))
+        if isinstance(endpoint, DataWriter):
+            endpoint.match(data.guid, route, data.qos, now)
+            return
+        self._liveliness.follow(endpoint.guid, data.guid, _followed(data.qos, endpoint.qos), now)
+        heartbeat = self._early.take(data.guid)
+        endpoint.match(data.guid, route, data.qos, participant.data.vendor, now, heartbeat)
+
+
+def _followed(offered: Qos, requested: Qos) -> Qos:
+    """Return the promise of a writer to show that it is alive, as its reader takes it: within the
+    lease of the reader, which is not the shorter one.
+    """
+    if math.inf in (offered.liveliness_lease, requested.liveliness_lease):
+        return offered
+    return msgspec.structs.replace(offered, liveliness_lease=requested.liveliness_lease)
 
 
 class EndpointDiscovery:

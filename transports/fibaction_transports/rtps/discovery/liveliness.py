@@ -8,8 +8,7 @@ import struct
 from msgspec import Struct
 
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.endpoints.history import StoredSample
-from fibaction_transports.rtps.endpoints.sample import Sample, padded
+from fibaction_transports.rtps.endpoints.sample import Sample, StoredSample, padded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import LivelinessChanged

@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 from msgspec.structs import replace
 
-from fibaction_transports.rtps.endpoints.history import StoredSample
-from fibaction_transports.rtps.endpoints.sample import Sample, unpadded
+from fibaction_transports.rtps.endpoints.sample import Sample, StoredSample, unpadded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.endpoints.writer_proxy import WriterProxy
 from fibaction_transports.rtps.events import CaughtUp

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from fibaction_transports.rtps.endpoints.history import History, StoredSample
+from fibaction_transports.rtps.endpoints.sample import History, StoredSample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.limits import MIB
 from fibaction_transports.rtps.messages.ids import Guid

@@ -8,10 +8,9 @@ from collections.abc import Container, Sequence
 from functools import partial
 
 from fibaction.words.errors import LimitReached
-from fibaction_transports.rtps.endpoints.history import History, StoredSample
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.reader_proxy import SILENCE, ReaderProxy
-from fibaction_transports.rtps.endpoints.sample import padded
+from fibaction_transports.rtps.endpoints.sample import History, StoredSample, padded
 from fibaction_transports.rtps.endpoints.shared import SharedParts
 from fibaction_transports.rtps.messages.ids import PREFIX_SIZE, Guid
 from fibaction_transports.rtps.messages.parameters import Parameters
