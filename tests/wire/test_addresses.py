@@ -50,19 +50,14 @@ def test_only_connections_of_an_address_make_room_for_that_address() -> None:
     assert not addresses.make_room(candidates, "10.0.0.3")
 
 
-def test_an_address_has_too_many_connections_above_the_limit() -> None:
-    addresses = Addresses(2)
-    for port in range(2):
-        addresses.enter(f"10.0.0.1:{port}")
-    assert not addresses.has_too_many("10.0.0.1")
-    addresses.enter("10.0.0.1:3")
-    assert addresses.has_too_many("10.0.0.1")
-    addresses.leave("10.0.0.1")
-    assert not addresses.has_too_many("10.0.0.1")
-
-
-def test_peers_without_an_address_have_no_limit_and_neither_has_a_server_without_one() -> None:
-    limited, unlimited = Addresses(1), Addresses(None)
-    for addresses, peer in ((limited, "a local process"), (unlimited, "10.0.0.1:1")):
-        for _ in range(3):
-            assert not addresses.has_too_many(addresses.enter(peer))
+def test_an_address_has_too_many_above_the_limit_and_peers_without_an_address_never() -> None:
+    limited, unlimited = Addresses(2), Addresses(None)
+    for peer, addresses, has_too_many in (
+        ("10.0.0.1:1", limited, True),
+        ("a local process", limited, False),
+        ("10.0.0.1:1", unlimited, False),
+    ):
+        counts = [addresses.has_too_many(addresses.enter(peer)) for _ in range(3)]
+        assert counts == [False, False, has_too_many]
+        addresses.leave(address_of(peer))
+        assert not addresses.has_too_many(address_of(peer))

@@ -15,12 +15,9 @@ import anyio.lowlevel
 import pytest
 import trio
 from anyio.abc import ByteStream
-from hypothesis import given
-from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from fibaction.border.abc import GoalRequest
-from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.event_loop import SLICE
 from fibaction.feeds import feedback_window
 from fibaction.server import ActionServer, GoalHandle
@@ -32,7 +29,6 @@ from fibaction.wire.frames import (
     LEAST_FRAME,
     MAX_FRAME,
     UNCOUNTED,
-    FrameMemory,
     FrameReader,
     header,
 )
@@ -96,15 +92,12 @@ from tests.wire.ends import (
     Client,
     Network,
     Served,
-    asked_again,
     endpoint_of,
     feedback,
-    following,
     goal_of,
     held,
     is_used,
     kinds,
-    numbers_of,
     outcome_of,
     reached,
     running,
@@ -196,17 +189,6 @@ async def test_an_error_is_cut_to_the_clients_limit_between_two_letters(
         text = getattr(answer, "reason", None) or getattr(answer, "text", "")
         assert text
         assert LONG_TEXT.startswith(text)
-
-
-async def test_a_client_takes_messages_of_a_kibibyte_at_least() -> None:
-    async with serving(held()) as served:
-        client = served.connect()
-        await client.say(Hello(VERSION, LONG, max_frame=LEAST_FRAME - 1))
-        last = await client.hear(Goodbye)
-        assert last.why == Why.PROTOCOL
-        assert last.reason.endswith("it accepts messages of 1023 bytes, and not 1024 or more")
-        await client.hear_the_end()
-        assert await (await served.greet(max_frame=LEAST_FRAME)).is_served()
 
 
 # Turns
@@ -570,42 +552,20 @@ async def test_a_link_that_was_ended_before_it_ran_does_not_run() -> None:
     assert other.writes == []
 
 
-class TricklingStream(ByteStream):
-    """Gives one byte each second."""
-
-    def __init__(self, data: bytes) -> None:
-        self._left = data
-
-    async def receive(self, max_bytes: int = 65536) -> bytes:
-        if not self._left:
-            await anyio.sleep_forever()
-        await anyio.sleep(1)
-        byte, self._left = self._left[:1], self._left[1:]
-        return byte
-
-    async def send(self, item: bytes) -> None:
-        pass
-
-    async def send_eof(self) -> None:
-        raise NotImplementedError
-
-    async def aclose(self) -> None:
-        pass
-
-
 @in_virtual_time()
 async def test_a_client_in_the_middle_of_a_message_is_not_silent() -> None:
     hello = encode(Hello(VERSION, 1, session=bytes(32)))
     data = header(len(hello)) + hello
     async with serving(held(), heartbeat=1, limits=Limits(handshake=1000)) as served:
+        stream = fed(served)
         with logged() as lines:
-            served.serve(
-                StreamChannel(TricklingStream(data), "the slow one", served.wire.new_reader())
-            )
-            await anyio.sleep(len(data) + 3.9)
+            for byte in data:
+                await stream.give(bytes([byte]))
+                await anyio.sleep(1)
+            await anyio.sleep(2.9)
             assert lines == []
             await anyio.sleep(2)
-        assert lines[0].getMessage().startswith("the slow one has been silent for ")
+        assert lines[0].getMessage().startswith("the fed one has been silent for ")
 
 
 class FeedStream(ByteStream):
@@ -649,13 +609,15 @@ def fed(served: Served) -> FeedStream:
     return stream
 
 
-async def test_before_a_client_is_known_little_is_held_of_it() -> None:
-    async with serving(held()) as served:
-        stream = fed(served)
-        await stream.give(header(FIRST_FRAME + 1))
-        (last,) = stream.heard
-        assert last.why == Why.PROTOCOL
-        assert last.reason.endswith("frame of 4097 bytes exceeds the limit of 4096 bytes")
+async def test_before_a_client_is_known_little_is_held_of_it_and_then_a_message_at_most() -> None:
+    hello = encode(Hello(VERSION, LONG))
+    async with serving(held(), limits=Limits(frame=10_000)) as served:
+        for limit, said in ((FIRST_FRAME, b""), (10_000, header(len(hello)) + hello)):
+            stream = fed(served)
+            await stream.give(said + header(limit + 1))
+            last = stream.heard[-1]
+            assert last.why == Why.PROTOCOL
+            assert f"frame of {limit + 1} bytes exceeds the limit of {limit} bytes" in last.reason
         client = served.connect()
         await client.say(Hello(VERSION, LONG, "x" * FIRST_FRAME))
         last = await client.hear(Goodbye)
@@ -706,32 +668,6 @@ async def test_large_messages_that_clients_do_not_take_share_that_limit() -> Non
         for client in clients:
             assert kinds(await client.hear_all()) == ([] if client in lost else [Ended])
         assert served.wire.memory.used == 0
-
-
-async def test_a_link_that_is_given_up_gives_its_memory_back_and_ends() -> None:
-    budget = ByteBudget(UNCOUNTED)
-    memories = FrameMemory(budget)
-    ends = [memory.pair() for _ in range(2)]
-    links = [Link(end, LONG, memory=memories) for end, _ in ends]
-    errors: list[Any] = []
-
-    async def run(link: Link) -> None:
-        errors.append(await link.run(lambda frame: None))
-
-    async with anyio.create_task_group() as tasks:
-        for (_, other), link, size in zip(ends, links, (2, 1.5), strict=True):
-            other.stop_reading()
-            link.post(bytes(int(size * UNCOUNTED)))
-            tasks.start_soon(run, link)
-            await settled()
-        assert str(errors[0]) == "the client takes too long for a large message at a busy server"
-        assert isinstance(errors[0], ConnectionLost)
-        assert budget.used == UNCOUNTED // 2
-        ends[1][1].go_on_reading()
-        await settled()
-        assert budget.used == 0
-        assert links[1].is_open
-        links[1].end(ConnectionLost("enough"))
 
 
 # What a client keeps of a goal
@@ -795,65 +731,6 @@ async def test_feedback_out_of_order_or_beyond_the_credit_is_the_servers_error(
             await tell(server, call_id, *numbers)
             with pytest.raises(ProtocolError, match=f"^{WHERE}: {text}$"):
                 await outcome_of(goal)
-
-
-class Scripted:
-    """A server that keeps to the credit it has for a goal."""
-
-    def __init__(self, network: Network, server: Peer, call_id: int, window: int) -> None:
-        self.credit = window
-        self.last = 0
-        self._network = network
-        self._server = server
-        self._call_id = call_id
-
-    async def listen(self) -> None:
-        self.credit += sum(await credit_of(self._server, self._call_id))
-
-    async def tell(self) -> None:
-        if self.credit:
-            self.credit -= 1
-            self.last += 1
-            await tell(self._server, self._call_id, self.last)
-
-    async def reconnect(self) -> None:
-        self._server, asked = await asked_again(self._network, self._server, Follow)
-        assert (asked.after, asked.own) == (self.last, True)
-        self.credit = asked.credit
-        await self._server.say(following(asked, place=self.last))
-
-
-@given(
-    st.integers(2, 9),
-    st.lists(st.sampled_from(["tell", "read", "read all", "reconnect"]), max_size=20),
-)
-def test_a_server_that_keeps_to_its_credit_is_never_wrong_and_never_stuck(
-    window: int, steps: list[str]
-) -> None:
-    async def check() -> None:
-        network = Network()
-        async with reached(network, with_window(window)) as (connection, server):
-            async with goal_of(connection, server) as (goal, call_id):
-                peer = Scripted(network, server, call_id, window)
-                seen: list[int] = []
-                for step in steps:
-                    unread = peer.last - len(seen)
-                    if step == "tell":
-                        await peer.tell()
-                    elif step == "read":
-                        seen += await numbers_of(goal, min(unread, 1))
-                    elif step == "read all":
-                        seen += await numbers_of(goal, unread)
-                    else:
-                        await peer.reconnect()
-                    await peer.listen()
-                    unread = peer.last - len(seen)
-                    assert peer.credit + unread <= window
-                    assert peer.credit or unread
-                assert seen == list(range(1, len(seen) + 1))
-                assert goal.dropped == 0
-
-    anyio.run(check, backend="trio", backend_options={"clock": MockClock(autojump_threshold=0)})
 
 
 # The size of the messages that each end takes

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +12,29 @@ from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.settings import ClientSettings, Limits
 
 NAMES = Limits.__struct_fields__
+TESTS = Path(__file__).parents[1]
+REACHED_IN = {
+    "connections": "wire/test_admission.py",
+    "per_address": "wire/test_admission.py",
+    "goals": "wire/test_limits.py",
+    "follows": "wire/test_request_limits.py",
+    "lost": "wire/test_resume.py",
+    "requests": "wire/test_limits.py",
+    "frame": "wire/test_limits.py",
+    "memory": "wire/test_limits.py",
+    "total_memory": "wire/test_limits.py",
+    "queue": "wire/test_limits.py",
+    "handshake": "transports/test_bad_input.py",
+    "heartbeat": "wire/test_admission.py",
+    "write": "hostile/test_doors.py",
+}
+"""The tests in which a client reaches each limit."""
+
+
+def test_each_limit_is_reached_in_a_test() -> None:
+    assert {*NAMES} == {*REACHED_IN}
+    for name, file in REACHED_IN.items():
+        assert re.search(rf"\b{name}(=|\": )", (TESTS / file).read_text(encoding="utf-8"))
 
 
 @given(strategies.sampled_from(NAMES), strategies.integers(LEAST_FRAME, 2**32 - 1))
