@@ -93,6 +93,11 @@ def running(*steps: Any, **settings: Any) -> Server:
     return ActionServer(FIBONACCI, executor, **settings)
 
 
+def talking() -> Server:
+    """A server whose goals give more feedback than their client takes, and succeed."""
+    return running(*feedback(*range(100)), fib.Result([]))
+
+
 def send(request: int, goal_id: bytes = A, credit: int | None = ANY) -> SendGoal:
     return SendGoal(request, "fibonacci", goal_id, GOAL, credit)
 
@@ -308,11 +313,11 @@ async def goal_of(
         yield await sending.answer(), sent.id
 
 
-async def observed(connection: Connection, server: Peer, *, place: int = 0) -> tuple[Any, int]:
-    """The goal of another client, followed from a place on."""
+async def observed(connection: Connection, server: Peer, **changes: Any) -> tuple[Any, int]:
+    """The goal of another client, which is followed."""
     async with Running(lambda: endpoint_of(connection).feedback(GOAL_ID)) as asking:
         asked = await server.hear(Follow)
-        await server.say(following(asked, place=place))
+        await server.say(following(asked, **changes))
         return await asking.answer(), asked.id
 
 

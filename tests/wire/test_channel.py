@@ -116,25 +116,6 @@ async def received(channel: StreamChannel) -> list[list[bytes]]:
 # Sending and receiving
 
 
-async def test_frames_arrive_whole_and_in_order() -> None:
-    frames = [b"", b"one", bytes(3 * CHUNK + 1), b"two" * 1000, b""]
-    pipe = PipeEnd(capacity=1000)
-    seen: list[bytes] = []
-
-    async def read() -> None:
-        for frames in await received(channel_over(pipe)):
-            seen.extend(frames)
-
-    with anyio.fail_after(5):
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(read)
-            sender = channel_over(pipe)
-            await sender.send(frames[:2])
-            await sender.send(frames[2:])
-            await sender.aclose()
-    assert seen == frames
-
-
 async def test_small_frames_are_written_at_once() -> None:
     stream = FakeStream()
     await channel_over(stream).send([b"one", b"", b"three"])

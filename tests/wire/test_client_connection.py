@@ -27,7 +27,6 @@ from fibaction.wire.messages import (
     Finished,
     Follow,
     Following,
-    GoalChanged,
     Goodbye,
     ListActions,
     Ping,
@@ -60,7 +59,6 @@ from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
     AWAY,
     CALLS,
-    EXECUTING,
     GOAL,
     GOAL_ID,
     ONCE,
@@ -79,7 +77,6 @@ from tests.wire.ends import (
     reached,
     real,
     update_of,
-    watched,
 )
 from tests.wire.memory import LONG, Apart, MemoryChannel, Running, settled
 
@@ -511,12 +508,6 @@ async def test_a_stream_that_has_nothing_to_say_is_dropped_silently(way: str) ->
 # Statuses
 
 
-def changed(call_id: int, *stamps: int, dropped: int = 0) -> list[GoalChanged]:
-    return [
-        GoalChanged(call_id, bytes([stamp] * 16), stamp, EXECUTING, dropped) for stamp in stamps
-    ]
-
-
 @pytest.mark.parametrize("is_early", [True, False])
 @pytest.mark.parametrize(
     "make", [Finished, end, lambda call_id: Following(call_id, 1, GoalStatus.ACCEPTED, False, 0)]
@@ -535,25 +526,6 @@ async def test_a_message_that_does_not_fit_statuses_ends_the_connection_for_good
             await server.say(make(asked.id))
             with anyio.fail_after(5), pytest.raises(ProtocolError, match="does not answer"):
                 await (asking.answer() if is_early else statuses.receive())
-
-
-@pytest.mark.parametrize("ending", ["complete", "finished", "lost"])
-async def test_the_goals_that_there_are_can_be_listed(ending: str) -> None:
-    async with reached(settings=ONCE) as (connection, server):
-        statuses, call_id = await watched(connection, server, known=2)
-        async with Running(statuses.listed) as listing:
-            await server.say(*changed(call_id, 1))
-            await settled()
-            assert not listing.is_done
-            if ending == "lost":
-                server.channel.cut()
-                with pytest.raises(ConnectionLost):
-                    await listing.answer()
-                return
-            await server.say(*(changed(call_id, 2, 3) if ending == "complete" else []))
-            await server.say(Finished(call_id))
-            stamps = [info.stamp for info in await listing.answer()]
-        assert stamps == ([1, 2] if ending == "complete" else [1])
 
 
 # Leaving

@@ -17,16 +17,13 @@ from fibaction.wire.frames import (
     UNCOUNTED,
     FrameMemory,
     FrameReader,
+    framed,
     header,
 )
 from fibaction.words.errors import LimitReached, ProtocolError
 
 FRAMES = strategies.lists(strategies.binary(max_size=300), max_size=8)
 LIMIT = 100
-
-
-def framed(frames: Iterable[bytes]) -> bytes:
-    return b"".join(header(len(frame)) + frame for frame in frames)
 
 
 def chopped(data: bytes, places: Iterable[int]) -> list[bytes]:
@@ -48,17 +45,6 @@ def test_frames_come_out_alike_in_any_chopping(frames: list[bytes], places: list
     assert FrameReader().feed(data) == frames
     assert [frame for piece in chopped(data, places) for frame in in_pieces.feed(piece)] == frames
     assert [frame for byte in data for frame in byte_by_byte.feed(bytes([byte]))] == frames
-
-
-@given(FRAMES)
-def test_a_frame_comes_out_with_its_last_byte(frames: list[bytes]) -> None:
-    reader = FrameReader()
-    for frame in frames:
-        data = framed([frame])
-        assert reader.feed(data[:-1]) == []
-        assert reader.is_within_frame
-        assert reader.feed(data[-1:]) == [frame]
-        assert not reader.is_within_frame
 
 
 @given(FRAMES, strategies.integers(0, 2500))

@@ -341,20 +341,6 @@ async def test_an_action_whose_server_does_not_answer_delays_those_of_other_acti
         assert {*kinds(heard)} == {Actions, CancelAnswered, Watching}
 
 
-async def test_a_request_that_waits_for_its_turn_goes_with_its_connection() -> None:
-    server = Counting()
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(*(CancelGoals(i, "fibonacci", None, None) for i in range(3)))
-        await client.say(WatchStatus(4, "fibonacci", 1))
-        await settled()
-        client.channel.cut()
-        await settled()
-        server.go.set()
-        assert await (await served.greet()).is_served()
-        assert server.most == {"cancel": 1, "status": 1}
-
-
 async def test_statuses_that_wait_for_room_go_with_their_connection() -> None:
     server = held()
     async with serving(server, limits=Limits(queue=1)) as served:

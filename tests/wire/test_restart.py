@@ -162,6 +162,7 @@ def test_a_reader_gets_the_feedback_of_each_attempt_in_order_and_counts_the_rest
             credit = asked.credit
         elif step in ("hold", "release"):
             goal.hold(step == "hold")
+        assert credit or told  # it is never stuck
     goal.on_message(Ended(1, SUCCEEDED, b"", "", number))
     while take(1):
         pass
@@ -403,6 +404,3 @@ async def test_a_request_to_a_server_that_keeps_its_goals_has_no_answer(message:
         assert await client.is_served()
         kept.error = None  # and its ID is free
         await client.ask(send(1), Following)
-
-
-# Both together

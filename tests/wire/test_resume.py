@@ -32,7 +32,6 @@ from fibaction.wire.messages import (
     GoalChanged,
     Goodbye,
     ListActions,
-    Ping,
     Received,
     Rejected,
     SendGoal,
@@ -49,7 +48,6 @@ from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
-from tests.support.matching import Like
 from tests.support.slices import let_slices_last
 from tests.support.virtual_time import in_virtual_time
 from tests.wire.ends import (
@@ -61,13 +59,10 @@ from tests.wire.ends import (
     EXECUTING,
     GOAL,
     GOAL_ID,
-    ONCE,
-    RESULT,
     SUCCEEDED,
     WHERE,
     WINDOW,
     A,
-    B,
     Network,
     Server,
     asked_again,
@@ -84,9 +79,9 @@ from tests.wire.ends import (
     outcome_of,
     reached,
     running,
-    scripted,
     send,
     serving,
+    talking,
     update_of,
     watched,
 )
@@ -100,27 +95,6 @@ every_call = pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
 
 
 # At the server: an end, and the feedback before it, until their client has heard of them
-
-
-@forgotten_or_not
-async def test_an_end_that_was_lost_with_the_line_is_told_again(result_timeout: float) -> None:
-    server = running(*feedback(1, 2), fib.Result([]), result_timeout=result_timeout)
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.send(1)
-        (*_, ended) = await client.hear_all()
-        for number in range(3):  # it may be lost again
-            if number:  # and the client may be back before that is noticed
-                client.channel.cut()
-            client = await served.greet()
-            following = await client.ask(follow(2), Following)
-            assert (following.status, following.place) == (SUCCEEDED, 2)
-            assert await client.hear_all() == [ended]
-        assert ended == Like(Ended(1, SUCCEEDED, RESULT, "", 2))
-        await client.say(Received(1))
-        again = await served.greet()
-        answer = await again.ask(follow(2), Failed if result_timeout == 0 else Following)
-        assert getattr(answer, "why", None) == (None if result_timeout else Why.UNKNOWN_GOAL)
 
 
 async def test_an_end_that_was_lost_is_told_though_its_id_is_used_by_another_client() -> None:
@@ -221,29 +195,10 @@ async def test_over_a_limit_the_ends_that_were_lost_first_are_given_up_first() -
 # At the server: a goal that goes on
 
 
-def talking() -> Server:
-    """A server whose goals give more feedback than their client takes, and succeed."""
-    return running(*feedback(*range(100)), fib.Result([]))
-
-
 async def status_of(server: Server) -> GoalStatus:
     stream = await server.feedback(GOAL_ID)
     await settled()
     return stream.status
-
-
-@in_virtual_time()
-async def test_a_goal_that_is_kept_waits_for_its_client_for_the_grace_and_runs_on() -> None:
-    server = talking()
-    async with serving(server, grace=10) as served:
-        await (await served.greet(BOB)).send(1, B, credit=1)
-        client = await served.greet()
-        await client.send(1, credit=1)
-        client.channel.cut()
-        await anyio.sleep(9.9)
-        assert await status_of(server) is EXECUTING
-        await anyio.sleep(0.2)
-        assert await status_of(server) is SUCCEEDED
 
 
 async def test_a_goal_that_is_kept_does_not_wait_after_a_goodbye() -> None:
@@ -301,63 +256,6 @@ async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
         await other.ask(follow(None, own=False), Following)
         await client.say(Goodbye("done"))
         assert [message.status for message in await other.hear_all()] == [3, 5]
-
-
-@in_virtual_time()
-@pytest.mark.parametrize("message", [follow(0), send(1)], ids=["followed", "sent again"])
-@pytest.mark.parametrize("is_noticed", [True, False])
-async def test_the_goal_of_a_client_that_comes_back_goes_on(message: Any, is_noticed: bool) -> None:
-    async with serving(held(), then="cancel", grace=10) as served:
-        client = await served.greet()
-        await client.send(1)
-        for _ in range(3):  # each loss has the whole grace
-            if is_noticed:
-                client.channel.cut()
-                await anyio.sleep(9)
-            again = await served.greet()
-            await again.ask(message, Following)
-            client.channel.cut()
-            client = again
-        await anyio.sleep(60)
-        assert set(kinds(await client.hear_all())) <= {StatusChanged}
-        assert await status_of(served.endpoints["fibonacci"]) is EXECUTING  # type: ignore[arg-type]  # the server
-
-
-@in_virtual_time()
-async def test_a_client_that_came_back_is_not_waited_for_any_longer() -> None:
-    async with serving(held(), grace=1e9) as served:
-        client = await served.greet()
-        await client.send(1)
-        counts = set()
-        for _ in range(3):
-            await settled()
-            counts.add(len(anyio.get_running_tasks()))
-            client.channel.cut()
-            await settled()
-            client = await served.greet()
-            await client.ask(follow(0), Following)
-        assert len(counts) == 1
-
-
-async def test_a_goal_that_another_client_sends_too_stays_with_its_own_client() -> None:
-    go = anyio.Event()
-    async with serving(scripted(go, *feedback(1), fib.Result([])), then="cancel") as served:
-        ann, bob = await served.greet(ANN), await served.greet(BOB)
-        await ann.send(1)
-        await bob.ask(send(1), Following)
-        await bob.say(Goodbye("done"))
-        await bob.hear_all()
-        go.set()
-        assert kinds(await ann.hear_all()) == [Feedback, Ended]
-
-
-async def test_an_observer_that_is_lost_leaves_the_goal_as_it_was() -> None:
-    async with serving(held(), then="cancel", grace=0) as served:
-        client, other = await served.greet(ANN), await served.greet(BOB)
-        await client.send(1)
-        await other.ask(follow(None, own=False), Following)
-        other.channel.cut()
-        assert await client.hear_all() == []
 
 
 async def test_a_client_that_may_only_send_may_follow_its_own_goals_again() -> None:
@@ -593,21 +491,6 @@ async def test_a_goal_is_sent_again_with_the_time_that_is_left(
                 server, message = await asked_again(network, server, SendGoal)
 
 
-@every_call
-async def test_without_reconnecting_the_loss_ends_every_call(
-    call: Callable[[Connection], Awaitable[Any]],
-) -> None:
-    network = Network()
-    async with reached(network, ONCE) as (connection, server):
-        async with Running(lambda: call(connection)) as calling:
-            server.channel.cut()
-            with pytest.raises(ConnectionLost, match=f"^{WHERE} closed its side$"):
-                await calling.answer()
-        with anyio.fail_after(5), pytest.raises(ConnectionLost, match="closed its side"):
-            await call(connection)
-    assert network.dialed == 1
-
-
 async def test_a_server_that_lets_the_client_in_no_more_is_left_for_good() -> None:
     network = Network()
     async with reached(network) as (connection, server):
@@ -662,18 +545,6 @@ async def test_a_call_that_waits_for_room_is_sent_once_if_it_is_not_given_up(
 
 
 # At the client: goals and statuses
-
-
-async def test_feedback_that_got_lost_between_two_connections_counts_as_dropped() -> None:
-    network = Network()
-    async with reached(network) as (connection, server):
-        async with goal_of(connection, server) as (goal, call_id):
-            await server.say(Feedback(call_id, 1, b"1"))
-            await settled()
-            server, asked = await asked_again(network, server, Follow)
-            await server.say(following(asked, place=5), Feedback(call_id, 6, b"6"))
-            assert await numbers_of(goal, 2) == [1, 6]
-            assert goal.dropped == 4
 
 
 async def test_an_observer_stays_one() -> None:
@@ -756,19 +627,6 @@ async def test_statuses_are_watched_again_behind_what_has_come_before() -> None:
 
 
 # At the client: for how long
-
-
-@in_virtual_time()
-async def test_a_server_that_misses_four_signs_of_life_is_lost() -> None:
-    settings = ClientSettings(heartbeat=1, reconnect=False)
-    async with reached(settings=settings, heartbeat=10) as (connection, server):
-        async with Running(connection.actions) as asking:
-            for _ in range(2):
-                await anyio.sleep(39)
-                assert not asking.is_done
-                await server.say(Ping())
-            with pytest.raises(ConnectionLost, match="has been silent for 4"):
-                await asking.answer(within=42)
 
 
 @in_virtual_time()
@@ -888,6 +746,3 @@ async def test_a_wait_for_an_action_that_is_not_served_goes_on_at_the_next_serve
             else:
                 with pytest.raises(ConnectionLost, match="closed its side"):
                     await waiting.answer()
-
-
-# Both together: what is on its way when the line dies

@@ -9,7 +9,6 @@ from typing import Any, cast
 import anyio
 import msgspec
 import pytest
-from msgspec.structs import replace
 
 from fibaction import GoalInfo, Parent
 from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
@@ -21,6 +20,7 @@ from fibaction.wire.auth import Peer, Permission
 from fibaction.wire.frames import LEAST_FRAME
 from fibaction.wire.messages import (
     VERSION,
+    AskLog,
     AskPeers,
     AskPlaces,
     AwaitServer,
@@ -31,15 +31,16 @@ from fibaction.wire.messages import (
     Ended,
     Failed,
     Feedback,
-    Follow,
     Following,
     GoalChanged,
     Goodbye,
     Hello,
     ListActions,
+    Operate,
     Peers,
     Ping,
     Received,
+    Rerun,
     SendGoal,
     Watching,
     WatchStatus,
@@ -49,18 +50,12 @@ from fibaction.wire.server.requests import ChangingEndpoints
 from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import (
-    ActionError,
-    AuthenticationFailed,
     ConnectionLost,
     GoalAborted,
     GoalRejected,
-    InvalidTransition,
-    ProtocolError,
-    ServerNotFound,
-    UnknownGoal,
 )
 from fibaction.words.goals import GoalID
-from fibaction.words.statuses import GoalEvent
+from fibaction.words.intake import IntakeMode
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
 from tests.support.virtual_time import in_virtual_time
@@ -77,16 +72,17 @@ from tests.wire.ends import (
     B,
     Served,
     Server,
-    endpoint_of,
     feedback,
     follow,
     held,
     kinds,
+    observed,
     reached,
     running,
     scripted,
     send,
     serving,
+    talking,
 )
 from tests.wire.memory import LONG, Apart, Running, logged, settled
 
@@ -128,6 +124,10 @@ WRONG: dict[str, tuple[list[Any], tuple[Goodbye, str]]] = {
     "a session of another length": (
         [Hello(VERSION, LONG, "right", bytes(17))],
         over("its session has 17 bytes, and not 0, 16 or 32"),
+    ),
+    "messages too small": (
+        [Hello(VERSION, LONG, "right", max_frame=LEAST_FRAME - 1)],
+        over("it accepts messages of 1023 bytes, and not 1024 or more"),
     ),
     "two hellos": ([HELLO, HELLO], over("it said hello twice")),
     "no token": ([Hello(VERSION, LONG), ListActions(1)], NO_TOKEN),
@@ -242,22 +242,6 @@ async def test_an_observer_may_leave_before_the_answer() -> None:
         await other.send(5, B)
 
 
-async def test_goals_whose_ends_are_received_leave_nothing_behind() -> None:
-    limits = Limits(goals=1, memory=len(GOAL))
-    server = running(*feedback(1, 2), fib.Result([]), result_timeout=0)
-    async with serving(server, limits=limits) as served:
-        client = await served.greet()
-        for number in range(1, 300):
-            await client.say(send(number, number.to_bytes(16, "big")))
-            while not isinstance(await client.hear(object), Ended):
-                pass
-            await client.say(Received(number))
-        failed = await client.ask(
-            Follow(1, "fibonacci", (299).to_bytes(16, "big"), 0, True, 1), Failed
-        )
-        assert failed.why == Why.UNKNOWN_GOAL
-
-
 # Other requests
 
 
@@ -319,6 +303,12 @@ REQUESTS: dict[Permission, list[Any]] = {
         AwaitServer(1, "fibonacci"),
         AskPeers(1, "fibonacci"),
         AskPlaces(1, "fibonacci", 1),
+        Operate(1, "fibonacci"),
+        AskLog(1, "fibonacci", A),
+    ],
+    Permission.OPERATE: [
+        Operate(1, "fibonacci", IntakeMode.HOLD),
+        Rerun(1, "fibonacci", A),
     ],
 }
 
@@ -392,8 +382,6 @@ async def test_the_timeout_of_a_goal_begins_when_the_goal_arrives(waits: bool) -
 
 # Errors behind the session
 
-OTHER = InvalidTransition(EXECUTING, GoalEvent.EXECUTE)
-
 
 def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.Result]:
     """A server that raises that when it is asked for statuses."""
@@ -403,29 +391,6 @@ def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.
             raise error
 
     return Raising(FIBONACCI, [anyio.Event()])
-
-
-@pytest.mark.parametrize(
-    ("error", "why", "text"),
-    [
-        (UnknownGoal(GoalID(A)), Why.UNKNOWN_GOAL, str(UnknownGoal(GoalID(A)))),
-        (AuthenticationFailed("no"), Why.FORBIDDEN, "no"),
-        (ServerNotFound("away \udcff"), Why.SERVER_NOT_FOUND, "away ?"),
-        (ConnectionLost("the robot is away"), Why.CONNECTION_LOST, "the robot is away"),
-        (ProtocolError("nonsense"), Why.PROTOCOL, "nonsense"),
-        (OTHER, Why.SERVER_FAILED, str(OTHER)),
-    ],
-    ids=lambda value: type(value).__name__,
-)
-async def test_each_error_of_an_endpoint_has_its_number(
-    error: ActionError, why: int, text: str
-) -> None:
-    async with serving(raising(error)) as served:
-        client = await served.greet()
-        with logged() as lines:
-            failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
-        assert failed == Failed(1, why, text)
-        assert lines == []
 
 
 async def test_an_error_that_is_a_bug_fails_that_request_and_is_told_by_its_kind_only() -> None:
@@ -648,37 +613,6 @@ async def test_an_answer_that_comes_after_the_connection_has_ended_is_dropped(
         assert len(lines) == 1 or error is not None  # a bug is logged, too
 
 
-@pytest.mark.parametrize("together", [True, False])
-async def test_a_decision_that_the_end_of_the_connection_cut_off_is_made_anew(
-    together: bool,
-) -> None:
-    asked = 0
-    decide = anyio.Event()
-
-    async def on_goal(goal: fib.Goal) -> None:
-        nonlocal asked
-        asked += 1
-        await decide.wait()
-
-    async with serving(ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)) as served:
-        client = await served.greet()
-        if together:  # the session is over before a task of its could wait for an answer
-            await client.say(send(1), Goodbye("never mind"))
-            await client.hear_the_end()
-        else:
-            await client.say(send(1))
-            await settled()
-            client.channel.cut()
-            await settled()
-        assert asked == 1
-        again = await served.greet()
-        await again.say(send(1))
-        await settled()
-        assert asked == 2
-        decide.set()
-        await again.hear(Following)
-
-
 # Several connections, and the end of the server
 
 
@@ -740,11 +674,6 @@ async def test_a_server_that_closes_waits_neither_for_goals_nor_long_for_clients
         assert await client.hear_all() == await connecting.hear_all() == [CLOSING]
         await client.hear_the_end()
         assert silent.channel.is_cut
-
-
-def talking() -> Server:
-    """A server whose goals give more feedback than their client takes, and succeed."""
-    return running(*feedback(*range(100)), fib.Result([]))
 
 
 async def has_succeeded(server: Server) -> None:
@@ -841,27 +770,15 @@ async def test_a_client_that_follows_a_goal_of_another_one_is_told_its_labels() 
         assert (await observer.ask(follow(None, own=False), Following)).labels == {"order": "17"}
 
 
-async def test_a_stream_of_a_client_knows_the_checkpoint_that_it_was_told() -> None:
+async def test_a_stream_of_a_client_knows_what_it_was_told_of_the_goal() -> None:
+    labels = {str(number): "" for number in range(9)}
+    told = {"parent": (bytes([7] * 16), "x" * 200), "labels": labels, "checkpoint": b"4"}
     async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
-            asked = await server.hear(Follow)
-            await server.say(Following(asked.id, 7, EXECUTING, False, 3, checkpoint=b"4"))
-            assert (await following.answer()).checkpoint == b"4"
-
-
-async def test_a_stream_of_a_client_knows_the_parent_and_the_labels_that_it_was_told() -> None:
-    async with reached() as (connection, server):
-        endpoint = endpoint_of(connection)
-        async with Running(lambda: endpoint.feedback(GOAL_ID)) as following:
-            asked = await server.hear(Follow)
-            parent = (bytes([7] * 16), "x" * 200)
-            labels = {str(number): "" for number in range(9)}
-            await server.say(Following(asked.id, 7, EXECUTING, False, 3, 1, None, parent, labels))
-            stream = await following.answer()
-    info = GoalInfo(GOAL_ID, 7, EXECUTING, feedback_count=3)
-    parent_told = Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")
+        stream, _ = await observed(connection, server, place=3, **told)
+    assert stream.checkpoint == b"4"
+    parent = Parent(GoalID(bytes([7] * 16)), "x" * 99 + "…")
     fits = {str(number): "" for number in range(8)}
-    assert stream.info == replace(info, parent=parent_told, labels=fits)
+    info = GoalInfo(GOAL_ID, 7, EXECUTING, feedback_count=3, parent=parent, labels=fits)
+    assert stream.info == info
     stream.told_info = GoalInfo(GOAL_ID, 7, EXECUTING, worker="a")
     assert stream.info == stream.told_info

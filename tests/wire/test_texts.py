@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -44,7 +45,7 @@ from tests.wire.ends import (
     serving,
     watched,
 )
-from tests.wire.memory import LONG, Running, logged
+from tests.wire.memory import LONG, Running
 
 pytestmark = pytest.mark.anyio
 
@@ -52,53 +53,44 @@ NASTY = "\nWARNING root: forged\x1b[2J\u2028\u202e" * 10**4
 """A text that is long, and that would be several lines of a log, or orders to a terminal."""
 
 
+CUT = NASTY[: REASON - 1] + "…"
+
+
 def is_excerpt(text: str, length: int) -> bool:
     """Return whether a text quotes the nasty one, in its length at most, with 100 of its own."""
     return text.isprintable() and "\\x0aWARNING root: forged" in text and len(text) < length + 100
 
 
-async def error_of(answer: Any) -> ActionError:
-    """Return the error with which a goal fails that is answered so."""
+@pytest.mark.parametrize(
+    ("answer", "kind", "length"),
+    [
+        (lambda call: Rejected(call, NASTY), GoalRejected, REASON),
+        (lambda call: Failed(call, Why.SERVER_NOT_FOUND, NASTY), ServerNotFound, REASON),
+        (lambda call: Goodbye(NASTY, Why.FORBIDDEN), AuthenticationFailed, LENGTH),
+    ],
+)
+async def test_an_error_of_a_server_is_one_line(
+    answer: Callable[[int], Any], kind: type[ActionError], length: int
+) -> None:
     async with reached(settings=ONCE) as (connection, server):
         async with Running(lambda: endpoint_of(connection).send_goal(GOAL_ID, GOAL)) as sending:
             await server.say(answer((await server.hear(SendGoal)).id))
-            with pytest.raises(ActionError) as caught:
+            with pytest.raises(kind) as caught:
                 await sending.answer()
-    return caught.value
-
-
-async def test_a_reason_is_data_and_its_error_is_one_line() -> None:
-    error = await error_of(lambda call: Rejected(call, NASTY))
-
-    assert isinstance(error, GoalRejected)
-    assert error.reason == NASTY[: REASON - 1] + "…"
-    assert is_excerpt(str(error), REASON)
-
-
-async def test_an_error_of_a_server_is_one_line() -> None:
-    error = await error_of(lambda call: Failed(call, Why.SERVER_NOT_FOUND, NASTY))
-
-    assert type(error) is ServerNotFound
-    assert is_excerpt(str(error), REASON)
-
-
-async def test_the_last_words_of_a_server_are_one_line() -> None:
-    error = await error_of(lambda call: Goodbye(NASTY, Why.FORBIDDEN))
-
-    assert type(error) is AuthenticationFailed
-    assert is_excerpt(str(error), LENGTH)
+    assert is_excerpt(str(caught.value), length)
+    assert getattr(caught.value, "reason", CUT) == CUT
 
 
 async def test_reasons_of_outcomes_and_cancels_are_cut() -> None:
     async with reached() as (connection, server):
         async with goal_of(connection, server) as (goal, call):
             await server.say(Ended(call, GoalStatus.ABORTED, None, NASTY, 0))
-            assert (await outcome_of(goal)).reason == NASTY[: REASON - 1] + "…"
+            assert (await outcome_of(goal)).reason == CUT
             assert (await server.hear(Received)).id == call
         async with Running(lambda: endpoint_of(connection).cancel_goals(GOAL_ID)) as asking:
             call = (await server.hear(CancelGoals)).id
             await server.say(CancelAnswered(call, 1, [], NASTY))
-            assert (await asking.answer()).reason == NASTY[: REASON - 1] + "…"
+            assert (await asking.answer()).reason == CUT
 
 
 async def test_the_name_of_a_client_is_one_line() -> None:
@@ -114,15 +106,6 @@ async def test_a_server_quotes_the_name_of_an_action() -> None:
         failed = await client.ask(Follow(1, NASTY, A, None, False, 1), Failed)
     assert failed.text.isprintable()
     assert len(failed.text) < 2 * LENGTH
-
-
-async def test_a_client_that_leaves_is_one_line_of_the_log() -> None:
-    async with serving(held()) as served:
-        client = await served.greet()
-        with logged() as records:
-            await client.say(Goodbye(NASTY))
-            await client.hear_the_end()
-    assert is_excerpt(records[0].getMessage(), LENGTH)
 
 
 async def test_the_error_that_ended_a_connection_does_not_keep_a_message() -> None:

@@ -1,4 +1,4 @@
-"""An operator's change over the wire: permissions, names, and servers of an earlier version."""
+"""Requests that servers of earlier versions do not know: an operator's, and for a log."""
 
 from __future__ import annotations
 
@@ -9,17 +9,14 @@ import pytest
 
 from fibaction import (
     ActionServer,
-    AuthenticationFailed,
     GoalID,
-    Peer,
-    Permission,
     ServerNotFound,
     TransportError,
     __version__,
     connect,
     serve,
 )
-from fibaction.border.abc import ForwardingEndpoint
+from fibaction.border.abc import ForwardingEndpoint, LogLine
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.messages import VERSION, Hello
 from fibaction.wire.server import session
@@ -33,19 +30,23 @@ pytestmark = pytest.mark.anyio
 TCP = "tcp://127.0.0.1:0"
 OLD_ID, GOAL_ID = GoalID.random(), GoalID.random()
 PAUSE = IntakeChange(IntakeMode.HOLD, "wet floor", "ann")
+LINES = [LogLine(1, "INFO", "arm", "grips"), LogLine(2, "ERROR", "arm", "is stuck")]
 
 
-class Again(ForwardingEndpoint):
-    """A server that runs one goal again, once."""
+class Remembering(ForwardingEndpoint):
+    """A server that runs one goal again, and has the log of it, and no other ones."""
 
     async def rerun(self, goal_id: GoalID) -> GoalID | None:
         return GOAL_ID if goal_id == OLD_ID else None
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return {OLD_ID: LINES, GOAL_ID: []}.get(goal_id)
 
 
 @pytest.fixture
 async def server() -> AsyncGenerator[Any, None]:
     async with ActionServer(FIBONACCI, fibonacci) as running:
-        yield running
+        yield Remembering(running)
 
 
 async def test_a_change_has_the_name_of_the_client_and_that_which_it_gives_itself(
@@ -58,20 +59,6 @@ async def test_a_change_has_the_name_of_the_client_and_that_which_it_gives_itsel
     [change] = intake.changes
     assert change.by.startswith("console at 127.0.0.1:")
     assert change.by.endswith(", for ann")
-
-
-async def test_only_a_client_that_may_operate_changes_anything(server: Any) -> None:
-    def authorize(_peer: Peer, _action: str, permission: Permission) -> bool:
-        return permission is not Permission.OPERATE
-
-    async with serve(server, TCP, authorize=authorize) as (url,):
-        async with connect(url, FIBONACCI) as client:
-            with pytest.raises(AuthenticationFailed, match="may not operate"):
-                await client.endpoint.change_intake(PAUSE)
-            with pytest.raises(AuthenticationFailed, match="may not operate"):
-                await client.endpoint.rerun(OLD_ID)
-            intake = await client.endpoint.intake()
-            assert (intake.mode, intake.changes) == (IntakeMode.OPEN, ())
 
 
 async def test_a_client_learns_the_version_the_schedule_and_whether_there_are_levers(
@@ -94,10 +81,11 @@ async def test_a_client_learns_the_version_the_schedule_and_whether_there_are_le
         await kept.aclose()
 
 
-async def test_a_goal_that_was_given_up_runs_again_as_another_one(server: Any) -> None:
-    async with serve(Again(server), TCP) as (url,), connect(url, FIBONACCI) as client:
-        assert await client.endpoint.rerun(OLD_ID) == GOAL_ID
-        assert await client.endpoint.rerun(GOAL_ID) is None
+async def test_a_goal_runs_again_as_another_one_and_its_log_is_told(server: Any) -> None:
+    async with serve(server, TCP) as (url,), connect(url, FIBONACCI) as client:
+        assert [await client.endpoint.rerun(one) for one in (OLD_ID, GOAL_ID)] == [GOAL_ID, None]
+        asked = (OLD_ID, GOAL_ID, GoalID.random())
+        assert [await client.endpoint.log_lines(one) for one in asked] == [LINES, [], None]
 
 
 async def test_a_server_of_an_earlier_version_is_not_asked(
@@ -106,15 +94,17 @@ async def test_a_server_of_an_earlier_version_is_not_asked(
     monkeypatch.setattr(session, "NEWEST_FROM_CLIENT", 27)
     async with serve(server, TCP) as (url,), connect(url, FIBONACCI) as client:
         assert await client.endpoint.intake() is FIXED_INTAKE
+        assert await client.endpoint.log_lines(OLD_ID) is None
         with pytest.raises(TransportError, match="earlier version"):
             await client.endpoint.change_intake(PAUSE)
         with pytest.raises(TransportError, match="earlier version, and runs no goal again"):
             await client.endpoint.rerun(OLD_ID)
 
 
-async def test_before_the_first_connection_nothing_is_changed() -> None:
+async def test_before_the_first_connection_nothing_is_known() -> None:
     calls = OpenCalls(9, 9)
     assert await calls.operate("drive") is OPEN_INTAKE
+    assert await calls.log_lines("drive", GOAL_ID) is None
     with pytest.raises(ServerNotFound, match="has not answered yet"):
         await calls.operate("drive", PAUSE)
 
