@@ -26,9 +26,9 @@ from fibaction import (
 )
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.wire.codec import encode
-from fibaction.wire.frames import FIRST_FRAME, header
+from fibaction.wire.frames import FIRST_FRAME, framed, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Goodbye, Hello, Ping, SendGoal, Why
+from fibaction.wire.messages import VERSION, Goodbye, Hello, SendGoal, Why
 from fibaction.wire.settings import Limits
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
@@ -37,18 +37,11 @@ pytestmark = pytest.mark.asyncio
 
 Client = ActionClient[Goal, Feedback, Result]
 HELLO = encode(Hello(VERSION, 3600))
-GOAL = FIBONACCI.goal.encode(Goal(3))
-NAME = "fibonacci"
-ID = bytes(range(16))
 
 
 def pack(*values: Any) -> bytes:
     """A message that the library's own encoder would not make."""
     return msgspec.msgpack.encode(values)
-
-
-def framed(*frames: bytes) -> bytes:
-    return b"".join(header(len(frame)) + frame for frame in frames)
 
 
 class Scene:
@@ -102,62 +95,25 @@ async def scene(
                 yield Scene(url, heard, client)
 
 
-def too_long(length: int, looks_like: str = "") -> str:
-    text = f"frame of {length} bytes exceeds the limit of {FIRST_FRAME} bytes"
-    return f"{text}: this looks like {looks_like}" if looks_like else text
+TOO_LONG = f"exceeds the limit of {FIRST_FRAME} bytes"
 
 
-@pytest.mark.parametrize(
-    ("data", "problem"),
-    [
-        (
-            b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n",
-            too_long(0x47455420, "HTTP: use http:// at both ends, or check the port"),
-        ),
-        (b"\xff\xff\xff\xff", too_long(2**32 - 1)),
-        (struct.pack(">I", FIRST_FRAME + 1), too_long(FIRST_FRAME + 1)),
-        (
-            b"\x16\x03\x01\x02\x00\x01\x00",
-            too_long(0x16030102, "TLS: use tls:// at both ends, or at neither"),
-        ),
-    ],
-    ids=["HTTP", "4 GiB", "one byte more than the limit", "TLS"],
-)
-async def test_a_length_beyond_the_limit_is_not_waited_for(data: bytes, problem: str) -> None:
+@pytest.mark.parametrize("length", [FIRST_FRAME + 1, 2**32 - 1])
+async def test_a_length_beyond_the_limit_is_not_waited_for(length: int) -> None:
     async with scene() as here, raw(here.url) as peer:
-        await peer.send(data)
-        await here.ends(peer, problem)
+        await peer.send(header(length))
+        await here.ends(peer, f"frame of {length} bytes {TOO_LONG}")
 
 
 NO_MESSAGE = "invalid client message: "
-DEPTH = 100_000
-"""Arrays in arrays: more than the limit of recursion of any Python."""
-
 WRONG = {
-    "nothing": (b"", NO_MESSAGE + "Input data was truncated"),
-    "a number": (pack(1)[1:], NO_MESSAGE + "Expected `array`, got `int`"),
-    "a map": (msgspec.msgpack.encode({"tag": 16}), NO_MESSAGE + "Expected `array`, got `object`"),
-    "nothing in it": (pack(), NO_MESSAGE + "Expected `array` of at least length 1, got 0"),
-    "an unknown tag": (pack(99), NO_MESSAGE + "Invalid value 99 - at `$[0]`"),
-    "a tag that is text": (pack("Hello"), NO_MESSAGE + "Expected `int`, got `str` - at `$[0]`"),
-    "a message of a server": (pack(32, VERSION, 1.0), NO_MESSAGE + "Invalid value 32 - at `$[0]`"),
-    "too little": (pack(17, 1), NO_MESSAGE + "Expected `array` of at least length 6, got 2"),
-    "a wrong type": (pack(24, "x"), NO_MESSAGE + "Expected `int`, got `str` - at `$[1]`"),
-    "a negative ID": (pack(24, -1), NO_MESSAGE + "Expected `int` >= 0 - at `$[1]`"),
-    "a short goal ID": (
-        pack(17, 1, NAME, b"x", GOAL, 1),
-        NO_MESSAGE + "Expected `bytes` of length >= 16 - at `$[3]`",
-    ),
-    "a credit of 2**31": (pack(23, 1, 2**31), NO_MESSAGE + "Expected `int` <= 2147483647"),
-    "a credit of 2**63": (pack(17, 1, NAME, ID, GOAL, 2**63), NO_MESSAGE + "Expected `int` <= "),
-    "bad UTF-8": (b"\x93\x15\x01\xa2\xff\xff", NO_MESSAGE),
-    "deep nesting": (b"\x91" * DEPTH, NO_MESSAGE),
-    "deep nesting in a field": (b"\x93\x15\x01" + b"\x91" * DEPTH, NO_MESSAGE),
-    "deep nesting in a field that is ignored": (
-        b"\x93\x18\x01" + b"\x91" * DEPTH + b"\xc0",
-        NO_MESSAGE,
-    ),
-    "something behind it": (encode(Ping()) + b"\x00", NO_MESSAGE),
+    "nothing": (b"", "Input data was truncated"),
+    "an unknown tag": (pack(99), "Invalid value 99 - at `$[0]`"),
+    "a message of a server": (pack(32, VERSION, 1.0), "Invalid value 32 - at `$[0]`"),
+    "a wrong type": (pack(24, "x"), "Expected `int`, got `str` - at `$[1]`"),
+    "bad UTF-8": (b"\x93\x15\x01\xa2\xff\xff", ""),
+    # More than the limit of recursion of any Python.
+    "deep nesting in a field": (b"\x93\x15\x01" + b"\x91" * 100_000, ""),
 }
 
 
@@ -171,8 +127,10 @@ async def test_a_frame_that_is_no_message_ends_the_connection(
         messages: list[Any] = await peer.hear_all()
         assert messages[-1].why == Why.PROTOCOL
         said = messages[-1].reason.removeprefix("the server has closed the connection: ")
-        is_too_long = first and len(frame) > FIRST_FRAME
-        assert said.startswith(too_long(len(frame)) if is_too_long else problem)
+        if first and len(frame) > FIRST_FRAME:
+            assert said.endswith(TOO_LONG)
+        else:
+            assert said.startswith(NO_MESSAGE + problem)
         here.logged_once(peer, f"{peer.name}: {said}", logging.WARNING)
         assert await here.is_well()
 
@@ -184,7 +142,7 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
             (b"", "its side"),
         ):
             async with raw(here.url) as peer:
-                await peer.send(framed(HELLO) + data)
+                await peer.send(framed([HELLO]) + data)
                 await peer.hear()
                 await peer.stream.send_eof()
                 await peer.hear_all()
@@ -192,7 +150,7 @@ async def test_a_truncated_frame_is_told_from_a_connection_that_was_closed() -> 
         assert await here.is_well()
 
 
-@pytest.mark.parametrize("data", [b"", b"\x00", framed(HELLO)[:-1]], ids=["none", "one", "most"])
+@pytest.mark.parametrize("data", [b"", b"\x00", framed([HELLO])[:-1]], ids=["none", "one", "most"])
 async def test_a_peer_that_does_not_finish_its_hello_is_not_waited_for(data: bytes) -> None:
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
         await peer.send(data)
@@ -232,7 +190,9 @@ async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_que
     settings: dict[str, Any] = {"orphans": "cancel", "grace": 0.01}
     async with scene(server, heartbeat=0.05, limits=Limits(queue=queue), **settings) as here:
         async with raw(here.url) as peer:
-            endless = SendGoal(1, NAME, ID, FIBONACCI.goal.encode(Goal(1)), 2**31 - 1)
+            endless = SendGoal(
+                1, "fibonacci", bytes(range(16)), FIBONACCI.goal.encode(Goal(1)), 2**31 - 1
+            )
             await peer.say(HELLO, encode(endless))
             await here.heard.until(f"{peer.name} has read nothing for 0.2 s")
             with anyio.fail_after(30):

@@ -12,7 +12,7 @@ from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any
 
 import anyio
 import pytest
@@ -40,7 +40,6 @@ from tests.transports.proxy import Line, line_to
 
 pytestmark = pytest.mark.asyncio
 
-T = TypeVar("T")
 Client = ActionClient[Goal, Feedback, Result]
 Items = AsyncGenerator[Feedback | Result, None]
 HEARTBEAT = 0.05
@@ -307,37 +306,6 @@ async def test_a_silent_line_is_noticed_and_no_call_hangs(directions: tuple[str,
                         await heard.until("has been silent for 0.")
     assert len(lost) == len(calls)
     assert len(set(map(id, lost))) == len(calls)  # each is raised in a task of its own
-
-
-@pytest.mark.promise("LOSS-2")
-async def test_calls_wait_for_a_lost_connection_no_longer_than_the_reconnect_timeout() -> None:
-    executor = Counting(stop=1)
-    async with bad_line(ActionServer(FIBONACCI, executor)) as line:
-        async with connect(line.url, FIBONACCI, reconnect_timeout=0.2) as client:
-            with anyio.fail_after(5):
-                goal = await client.send_goal(Goal(2))
-                line.refuses = True
-                line.cut()
-                begun = perf_counter()
-                with pytest.raises(ConnectionLost):
-                    await goal.outcome()
-                assert perf_counter() - begun > 0.15
-                # From then on they need not wait at all.
-                with pytest.raises(ConnectionLost):
-                    await client.send_goal(Goal(1))
-                line.refuses = False
-                executor.go_on.set()
-                again = await as_soon_as_connected(lambda: client.attach(goal.goal_id))
-                assert await again.result() == Result([2])
-                assert await client.call(Goal(1)) == Result([1])
-
-
-async def as_soon_as_connected(call: Callable[[], Awaitable[T]]) -> T:
-    while True:
-        try:
-            return await call()
-        except ConnectionLost:
-            await anyio.sleep(0.01)
 
 
 @pytest.mark.promise("FEEDBACK-12")

@@ -115,10 +115,10 @@ async def listening(
 
 
 @asynccontextmanager
-async def pair() -> AsyncGenerator[tuple[End, End], None]:
+async def pair(framing: FrameReader | None = None) -> AsyncGenerator[tuple[End, End], None]:
     """Both ends of a connection, running."""
     async with listening() as ((host, port), ends):
-        one = End(await dial_tcp(host, port, FrameReader(), "the server"))
+        one = End(await dial_tcp(host, port, framing or FrameReader(), "the server"))
         await until(lambda: ends)
         async with anyio.create_task_group() as tasks:
             for end in (one, ends[0]):
@@ -131,17 +131,34 @@ async def pair() -> AsyncGenerator[tuple[End, End], None]:
 
 
 @asynccontextmanager
-async def beside_a_socket() -> AsyncGenerator[tuple[End, socket.socket], None]:
-    """An end that is running, and a plain socket at the other."""
+async def accepted() -> AsyncGenerator[tuple[End, socket.socket], None]:
+    """An end that does not run yet, and a plain socket at the other."""
     async with listening() as (address, ends):
         with socket.create_connection(address) as peer:
             peer.setblocking(False)
             await until(lambda: ends)
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(ends[0].run)
-                await until(lambda: ends[0].fetched)
-                yield ends[0], peer
-                ends[0].stop()
+            yield ends[0], peer
+            ends[0].ended.set()
+
+
+@asynccontextmanager
+async def beside_a_socket() -> AsyncGenerator[tuple[End, socket.socket], None]:
+    """An end that is running, and a plain socket at the other."""
+    async with accepted() as (end, peer), anyio.create_task_group() as tasks:
+        tasks.start_soon(end.run)
+        await until(lambda: end.fetched)
+        yield end, peer
+        end.stop()
+
+
+async def read(peer: socket.socket, size: int) -> bytes:
+    """Read so many bytes from a plain socket."""
+    seen = b""
+    with anyio.fail_after(30):
+        while len(seen) < size:
+            await anyio.wait_readable(peer)
+            seen += peer.recv(2**20)
+    return seen
 
 
 async def test_what_is_stirred_at_once_is_written_in_the_same_turn() -> None:
@@ -221,11 +238,7 @@ async def test_of_a_large_message_the_socket_holds_a_piece_only() -> None:
         end.say(bytes(2**24 - 4))
         await until(lambda: end.line._is_full)
         assert 0 < end.line._transport.get_write_buffer_size() <= PIECE
-        seen = 0
-        with anyio.fail_after(30):
-            while seen < 2**24:
-                await anyio.wait_readable(peer)
-                seen += len(peer.recv(2**20))
+        await read(peer, 2**24)
         assert end.line._unsent.obj == b""  # the message itself is not held any longer
 
 
@@ -240,30 +253,21 @@ class Parting(FrameReader):
 @pytest.mark.parametrize("closes", [False, True], ids=["send", "aclose"])
 async def test_the_last_word_comes_after_the_whole_of_a_large_message(closes: bool) -> None:
     large = bytes(2**22)
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            peer.setblocking(False)
-            await until(lambda: ends)
-            end = ends[0]
-            end.line.begin(Parting(), b"")
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(end.line.run, end._on_frames, end.next_frames)
-                await until(lambda: end.fetched)
-                end.say(large)
-                await until(lambda: end.line._is_full)
-                tasks.cancel_scope.cancel()
-            wanted, seen = framed([large, b"last"]), b""
-            async with anyio.create_task_group() as tasks:
-                if closes:
-                    tasks.start_soon(end.line.aclose)
-                else:
-                    tasks.start_soon(end.line.send, [b"last"])
-                with anyio.fail_after(30):
-                    while len(seen) < len(wanted):
-                        await anyio.wait_readable(peer)
-                        seen += peer.recv(2**20)
-            assert seen == wanted
-            end.ended.set()
+    async with accepted() as (end, peer):
+        end.line.begin(Parting(), b"")
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(end.line.run, end._on_frames, end.next_frames)
+            await until(lambda: end.fetched)
+            end.say(large)
+            await until(lambda: end.line._is_full)
+            tasks.cancel_scope.cancel()
+        wanted = framed([large, b"last"])
+        async with anyio.create_task_group() as tasks:
+            if closes:
+                tasks.start_soon(end.line.aclose)
+            else:
+                tasks.start_soon(end.line.send, [b"last"])
+            assert await read(peer, len(wanted)) == wanted
 
 
 def giving_back(end: End, most: int = 1) -> None:
@@ -424,17 +428,10 @@ class LastFrame(FrameReader):
 
 
 async def test_the_last_frame_is_handed_over_before_the_end() -> None:
-    async with listening() as ((host, port), ends):
-        one = End(await dial_tcp(host, port, LastFrame(), "the server"))
-        await until(lambda: ends)
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(one.run)
-            tasks.start_soon(ends[0].run)
-            ends[0].say(b"last")
-            with anyio.fail_after(30):
-                await one.ended.wait()
-            ends[0].stop()
-        await one.line.aclose()
+    async with pair(LastFrame()) as (one, other):
+        other.say(b"last")
+        with anyio.fail_after(30):
+            await one.ended.wait()
     assert one.heard == [b"last"]
     assert str(one.error) == "that was the last frame"
 
@@ -466,24 +463,21 @@ async def test_a_connection_that_is_reset_is_lost_with_its_cause() -> None:
 
 
 async def test_the_last_word_waits_until_it_is_written_or_the_connection_is_lost() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
-            await until(lambda: ends)
-            line = ends[0].line
-            with anyio.fail_after(30):
-                with anyio.move_on_after(0.01) as impatience:
-                    await line.send([bytes(2**23)])
-                assert impatience.cancelled_caught
-                async with anyio.create_task_group() as tasks:
+    async with accepted() as (end, peer):
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        with anyio.fail_after(30):
+            with anyio.move_on_after(0.01) as impatience:
+                await end.line.send([bytes(2**23)])
+            assert impatience.cancelled_caught
+            async with anyio.create_task_group() as tasks:
 
-                    async def last_word() -> None:
-                        with pytest.raises(ConnectionLost):
-                            await line.send([b"1"])
+                async def last_word() -> None:
+                    with pytest.raises(ConnectionLost):
+                        await end.line.send([b"1"])
 
-                    tasks.start_soon(last_word)
-                    await anyio.wait_all_tasks_blocked()
-                    peer.close()
+                tasks.start_soon(last_word)
+                await anyio.wait_all_tasks_blocked()
+                peer.close()
 
 
 class Leaving(FrameReader):
@@ -506,71 +500,44 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("patient")
 async def test_the_goodbye_of_a_peer_that_reads_ours_slowly_is_waited_for() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            peer.setblocking(False)
-            await until(lambda: ends)
-            line, leaving = ends[0].line, Leaving()
-            line.begin(leaving, b"")
-            async with anyio.create_task_group() as tasks:
-                tasks.start_soon(line.aclose)
-                await until(lambda: line._is_full)
-                left = 2**22
-                with anyio.fail_after(5):
-                    while left:
-                        await anyio.wait_readable(peer)
-                        left -= len(peer.recv(2**20))
-                await until(lambda: not line._is_full)
-                peer.send(framed([b"news"]) + b"goodbye")
-            assert leaving.is_closed
-            ends[0].ended.set()
+    async with accepted() as (end, peer):
+        line, leaving = end.line, Leaving()
+        line.begin(leaving, b"")
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(line.aclose)
+            await until(lambda: line._is_full)
+            await read(peer, 2**22)
+            await until(lambda: not line._is_full)
+            peer.send(framed([b"news"]) + b"goodbye")
+        assert leaving.is_closed
 
 
 async def test_bytes_are_read_before_it_runs_until_the_peer_closes() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            await until(lambda: ends)
-            line = ends[0].line
-            with anyio.fail_after(30):
-                for number in (b"1", b"2"):
-                    peer.send(number)
-                    assert await line.receive_bytes() == number
-                await line.send_bytes(b"answer")
-                peer.setblocking(False)
-                await anyio.wait_readable(peer)
-                assert peer.recv(10) == b"answer"
-                peer.send(b"last")
-                await until(lambda: line._early)
-                peer.close()
-                assert await line.receive_bytes() == b"last"
-                with pytest.raises(anyio.BrokenResourceError):
-                    await line.receive_bytes()
-                assert not line._transport.is_closing()
-            ends[0].ended.set()
+    async with accepted() as (end, peer):
+        line = end.line
+        with anyio.fail_after(30):
+            for number in (b"1", b"2"):
+                peer.send(number)
+                assert await line.receive_bytes() == number
+            await line.send_bytes(b"answer")
+            assert await read(peer, 6) == b"answer"
+            peer.send(b"last")
+            await until(lambda: line._early)
+            peer.close()
+            assert await line.receive_bytes() == b"last"
+            with pytest.raises(anyio.BrokenResourceError):
+                await line.receive_bytes()
+            assert not line._transport.is_closing()
 
 
 async def test_bytes_that_came_before_the_connection_was_lost_are_read_first() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            await until(lambda: ends)
-            line = ends[0].line
-            peer.send(b"last")
-            await until(lambda: line._early)
-            line._transport.abort()
-            assert await line.receive_bytes() == b"last"
-            with anyio.fail_after(30), pytest.raises(anyio.BrokenResourceError):
-                await line.receive_bytes()
-            ends[0].ended.set()
-
-
-class Noting(FrameReader):
-    """A form that notes what it is to discard, and expects the end of the peer."""
-
-    is_closed = False
-    discarded = b""
-
-    def discard(self, data: bytes) -> None:
-        self.discarded += data
+    async with accepted() as (end, peer):
+        peer.send(b"last")
+        await until(lambda: end.line._early)
+        end.line._transport.abort()
+        assert await end.line.receive_bytes() == b"last"
+        with anyio.fail_after(30), pytest.raises(anyio.BrokenResourceError):
+            await end.line.receive_bytes()
 
 
 async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
@@ -583,20 +550,19 @@ async def test_a_line_is_closed_also_by_who_is_being_canceled() -> None:
         assert peer.recv(10) == b""
 
 
-class Ending(Noting):
-    """A form that ends the stream, and says no word before that."""
+class Ending(FrameReader):
+    """A form that ends the stream, says no word before that, and expects the end of the peer."""
 
+    is_closed = False
     ends_stream = True
 
 
 async def test_a_peer_that_has_reset_the_connection_unnoticed_is_left_without_an_error() -> None:
-    async with listening() as (address, ends):
-        with socket.create_connection(address) as peer:
-            await until(lambda: ends)
-            ends[0].line.begin(Ending(), b"")
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
-        await ends[0].line.aclose()  # before the event loop reads anything
-        ends[0].ended.set()
+    async with accepted() as (end, peer):
+        end.line.begin(Ending(), b"")
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        peer.close()
+        await end.line.aclose()  # before the event loop reads anything
 
 
 async def test_a_connection_that_fails_ends_no_other(caplog: pytest.LogCaptureFixture) -> None:

@@ -6,6 +6,7 @@ The contract suite has the rest.
 from __future__ import annotations
 
 import logging
+import re
 import socket
 import stat
 from collections.abc import AsyncGenerator
@@ -25,12 +26,10 @@ from fibaction import (
     GoalHandle,
     GoalID,
     InvalidURL,
-    Outcome,
     ProtocolError,
     ServerFailed,
     ServerNotFound,
     TransportError,
-    UnknownGoal,
     connect,
     serve,
 )
@@ -41,7 +40,7 @@ from fibaction_transports.tcp import TcpTransport, TlsFiles, UnixTransport
 from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, port_of, raw
-from tests.transports.tcp.servers import SECRET, new_server, tls_server, works
+from tests.transports.tcp.servers import SECRET, failure, new_server, refusal, tls_server, works
 
 pytestmark = pytest.mark.anyio
 
@@ -82,11 +81,9 @@ def dialed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
 async def test_a_url_says_where_the_server_is(
     url: str, host: str, port: int, told: str, dialed: list[tuple[str, int]]
 ) -> None:
-    with pytest.raises(ServerNotFound) as caught:
-        async with connect(url, reconnect=False):
-            raise AssertionError("the block must not run")
+    failed = await failure(ServerNotFound, url, reconnect=False)
     assert dialed == [(host, port)]
-    assert str(caught.value) == (
+    assert failed == (
         f"no server listens at {told} (refused): start the server, or wait for it with"
         f" wait_for_server()"
     )
@@ -108,15 +105,17 @@ async def test_numbers_that_make_no_sense_are_refused() -> None:
 
 @pytest.mark.parametrize("host", ["a" * 64, ".robot"])
 async def test_nobody_is_at_a_host_whose_name_cannot_be(host: str) -> None:
-    with pytest.raises(InvalidURL, match=f"^invalid host in tcp://{host}:81: .*label"):
-        async with connect(f"tcp://{host}:81", reconnect=False):
-            raise AssertionError("the block must not run")
+    assert re.search(
+        f"^invalid host in tcp://{host}:81: .*label",
+        await failure(InvalidURL, f"tcp://{host}:81", reconnect=False),
+    )
 
 
 async def test_a_host_whose_name_cannot_be_is_no_place_to_listen_at() -> None:
-    with pytest.raises(TransportError, match=r"^cannot listen at tcp://☃:81: Codepoint"):
-        async with serve(new_server(), TcpTransport("☃", 81, insecure=True)):
-            raise AssertionError("the block must not run")
+    assert re.search(
+        r"^cannot listen at tcp://☃:81: Codepoint",
+        await refusal(TcpTransport("☃", 81, insecure=True)),
+    )
 
 
 async def test_with_port_0_the_url_has_the_port_that_was_found() -> None:
@@ -140,10 +139,8 @@ async def test_an_ipv6_address_is_in_brackets() -> None:
 
 async def test_an_address_in_use_is_refused() -> None:
     async with serve(new_server(), "tcp://127.0.0.1:0") as (url,):
-        with pytest.raises(TransportError) as caught:
-            async with serve(new_server(), url):
-                raise AssertionError("the block must not run")
-        assert str(caught.value).lower() == f"address already in use: {url}"
+        refused = await refusal(url)
+        assert refused.lower() == f"address already in use: {url}"
         assert await works(url)
 
 
@@ -171,10 +168,8 @@ def listening(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 async def test_a_public_address_needs_tls_or_an_explicit_word(
     host: str, listening: list[str]
 ) -> None:
-    with pytest.raises(TransportError) as caught:
-        async with serve(new_server(), f"tcp://{host}:0"):
-            raise AssertionError("the block must not run")
-    assert str(caught.value) == (
+    refused = await refusal(f"tcp://{host}:0")
+    assert refused == (
         f"tcp://{host}:0 can be reached from other machines: use tls://, or, if the network is"
         f" your own, append ?insecure=true to the URL (in code insecure=True)"
     )
@@ -269,9 +264,7 @@ async def test_a_server_that_hangs_up_in_the_handshake_is_a_transport_error() ->
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(listener.serve, hang_up)
             port = listener.extra(SocketAttribute.local_port)
-            with anyio.fail_after(30), pytest.raises(TransportError):
-                async with connect(f"tls://127.0.0.1:{port}", reconnect=False):
-                    raise AssertionError("the block must not run")
+            await failure(TransportError, f"tls://127.0.0.1:{port}", reconnect=False)
             tasks.cancel_scope.cancel()
 
 
@@ -284,9 +277,10 @@ async def test_a_unix_socket_is_for_its_owner_only_and_is_removed_afterwards(
         assert await works(url)
         assert await works(UnixTransport(path))
     assert not path.exists()
-    with pytest.raises(ServerNotFound, match=f"no server listens at unix://{path} "):
-        async with connect(UnixTransport(path, reconnect=False)):
-            raise AssertionError("the block must not run")
+    assert re.search(
+        f"no server listens at unix://{path} ",
+        await failure(ServerNotFound, UnixTransport(path, reconnect=False)),
+    )
 
 
 async def test_a_socket_file_that_a_dead_server_left_behind_is_replaced(tmp_path: Path) -> None:
@@ -301,10 +295,8 @@ async def test_a_socket_file_that_a_dead_server_left_behind_is_replaced(tmp_path
 
 async def test_a_unix_socket_that_is_in_use_is_refused_and_stays(tmp_path: Path) -> None:
     async with serve(new_server(), f"unix://{tmp_path}/socket") as (url,):
-        with pytest.raises(TransportError) as caught:
-            async with serve(new_server(), url):
-                raise AssertionError("the block must not run")
-        assert str(caught.value) == f"address already in use: {url}"
+        refused = await refusal(url)
+        assert refused == f"address already in use: {url}"
         assert await works(url)
 
 
@@ -343,9 +335,7 @@ async def test_a_server_whose_socket_was_removed_stops_as_any_other(tmp_path: Pa
 async def test_another_file_in_the_way_of_a_unix_socket_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "diary"
     path.write_text("dear diary")
-    with pytest.raises(TransportError, match=f"cannot listen at unix://{path}: "):
-        async with serve(new_server(), UnixTransport(path)):
-            raise AssertionError("the block must not run")
+    assert re.search(f"cannot listen at unix://{path}: ", await refusal(UnixTransport(path)))
     assert path.read_text() == "dear diary"
 
 
@@ -372,10 +362,8 @@ async def test_a_token_opens_the_door_and_nothing_else_does(
             (url, none),
         ):
             for reconnect in (True, False):
-                with anyio.fail_after(30), pytest.raises(AuthenticationFailed) as caught:
-                    async with connect(wrong, reconnect=reconnect):
-                        raise AssertionError("the block must not run")
-                assert str(caught.value) == f"{url}: {text}"
+                failed = await failure(AuthenticationFailed, wrong, reconnect=reconnect)
+                assert failed == f"{url}: {text}"
         connecting = TcpTransport.from_url(f"{url}?token={SECRET}")
         async with connect(connecting) as connection:
             client = connection.client(FIBONACCI)
@@ -429,25 +417,6 @@ async def test_who_may_not_observe_cannot_tell_whether_a_goal_exists() -> None:
                     assert there == await told(bob, GoalID.random())
 
 
-async def test_who_may_only_send_cannot_follow_a_goal_of_somebody_else() -> None:
-    def authorize(peer: Peer, action: str, verb: Permission) -> bool:
-        return peer.name == "ann" or verb is Permission.SEND
-
-    transport = TcpTransport(port=0, tokens={"a": "ann", "b": "bob"}, authorize=authorize)
-    async with serve(new_server(), transport) as (url,):
-        async with connect(f"{url}?token=a", FIBONACCI) as ann:
-            async with connect(f"{url}?token=b", FIBONACCI) as bob:
-                with anyio.fail_after(30):
-                    goal = await ann.send_goal(Goal(5))
-                    found: list[Outcome[bytes]] = []
-                    try:
-                        with await bob.endpoint.feedback(goal.goal_id, own=True) as stream:
-                            found.append(await stream.outcome())
-                    except (AuthenticationFailed, UnknownGoal):
-                        pass
-                    assert found == []
-
-
 async def test_a_permission_that_cannot_be_found_out_is_none(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -495,11 +464,9 @@ async def test_a_client_at_the_port_of_a_web_server_is_told_so(
         url = f"tcp://127.0.0.1:{listener.extra(SocketAttribute.local_port)}"
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(listener.serve, answer)
-            with anyio.fail_after(30), pytest.raises(ProtocolError) as caught:
-                async with connect(url, FIBONACCI, reconnect=reconnect):
-                    raise AssertionError("the block must not run")
+            failed = await failure(ProtocolError, url, FIBONACCI, reconnect=reconnect)
             tasks.cancel_scope.cancel()
-    assert str(caught.value) == (
+    assert failed == (
         f"{url}: frame of 1213486160 bytes exceeds the limit of 16777216 bytes: this looks like"
         " HTTP: use http:// at both ends, or check the port"
     )
