@@ -285,17 +285,6 @@ async def test_the_goal_is_sent_again_with_longer_and_longer_delays_and_the_time
     assert endpoint.timeouts == pytest.approx([20, 19, 17, 14])
 
 
-async def test_a_pause_ends_at_the_deadline_and_the_last_error_is_the_cause() -> None:
-    watch = Watch()
-    async with ActionServer(FIBONACCI, slow) as server:
-        endpoint = Scripted(server, sends=[ServerNotFound("nowhere")])
-        retry = Retry(delay=10.0)
-        error = await timed_out(endpoint.client.call(Goal(0), timeout=2, retry=retry))
-        assert watch.shows(2)
-    assert isinstance(error.__cause__, ServerNotFound)
-    assert endpoint.calls == ["send"]
-
-
 async def test_an_attempt_that_ends_after_the_deadline_is_the_last() -> None:
     watch = Watch()
 

@@ -163,12 +163,6 @@ async def events_over(server: Watched) -> list[object]:
     return seen
 
 
-async def test_a_goal_that_is_forgotten_before_it_can_be_followed_is_no_error() -> None:
-    infos = [GoalInfo(ONE, 1, GoalStatus.EXECUTING), GoalInfo(ONE, 1, GoalStatus.CANCELED)]
-    server = Watched(Statuses(*infos), UnknownGoal(ONE))
-    assert await events_over(server) == ["EXECUTING", "CANCELED"]
-
-
 async def test_a_goal_whose_feedback_is_over_before_its_end_is_not_followed_again() -> None:
     statuses = (GoalStatus.EXECUTING, GoalStatus.CANCELING, GoalStatus.CANCELED)
     server = Watched(Statuses(*(GoalInfo(ONE, 1, status) for status in statuses)), UnknownGoal(ONE))
@@ -205,15 +199,15 @@ async def test_feedback_says_which_attempt_it_is_of() -> None:
     assert seen[1:] == [GoalFeedback(ONE, 1, Feedback([1]), 2, item.at)]
 
 
-async def test_a_lost_connection_is_raised_where_the_events_are_read() -> None:
-    server = Watched(Statuses(error=ConnectionLost("the line broke")))
-    with pytest.raises(ConnectionLost, match="the line broke"):
-        await events_over(server)
-
-
-async def test_feedback_that_cannot_be_had_is_raised_where_the_events_are_read() -> None:
-    infos = [GoalInfo(ONE, 1, GoalStatus.EXECUTING)]
-    server = Watched(Statuses(*infos), ConnectionLost("the line broke"))
+@pytest.mark.parametrize(
+    "server",
+    [
+        Watched(Statuses(error=ConnectionLost("the line broke"))),
+        Watched(Statuses(GoalInfo(ONE, 1, GoalStatus.EXECUTING)), ConnectionLost("the line broke")),
+    ],
+    ids=["of statuses", "of feedback"],
+)
+async def test_a_lost_connection_is_raised_where_the_events_are_read(server: Watched) -> None:
     with pytest.raises(ConnectionLost, match="the line broke"):
         await events_over(server)
 
