@@ -2,23 +2,29 @@
 
 There is a port for goals, where each frame is answered with two, and one for feedback, where a
 number is answered with as many frames.
+
+`tasks` is the limit with the same bookkeeping. Each goal has an ID, and a task and an event at both
+ends, and its two messages are made and read one by one. What is written in one turn of the event
+loop is written together. There are no limits and no statuses, and nothing is kept.
 """
 
 from __future__ import annotations
 
+import itertools
 import socket
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 
 import anyio
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction import GoalStatus
 from fibaction.wire import messages
-from fibaction.wire.codec import decode_from_server, encode
+from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, header
 from fibaction.words.goals import GoalID
-from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, messages_of
+from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, Ends, messages_of
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result
 
 CHUNK = 2**16
@@ -28,6 +34,7 @@ NUMBER = 4
 CALL = 100_000
 """The ID of a call, and a goal's stamp, as many bytes long as they are after many goals."""
 STAMP = 1_800_000_000_000_000_000
+GOAL_ID = GoalID(bytes(range(16)))
 
 
 def framed(message: object) -> bytes:
@@ -35,14 +42,21 @@ def framed(message: object) -> bytes:
     return header(len(frame)) + frame
 
 
-REQUEST = framed(
-    messages.SendGoal(
-        CALL, ACTION.name, GoalID(bytes(range(16))), ACTION.goal.encode(Goal(0)), credit=0
-    )
-)
-ANSWER = framed(
-    messages.Following(CALL, STAMP, GoalStatus.EXECUTING, latest=False, place=0)
-) + framed(messages.Ended(CALL, GoalStatus.SUCCEEDED, ACTION.result.encode(Result(0)), "", 0))
+def request(call: int) -> bytes:
+    goal = ACTION.goal.encode(Goal(0))
+    return framed(messages.SendGoal(call, ACTION.name, GOAL_ID, goal, credit=0))
+
+
+def following(call: int) -> bytes:
+    return framed(messages.Following(call, STAMP, GoalStatus.EXECUTING, latest=False, place=0))
+
+
+def ended(call: int, result: Result) -> bytes:
+    payload = ACTION.result.encode(result)
+    return framed(messages.Ended(call, GoalStatus.SUCCEEDED, payload, "", 0))
+
+
+REQUEST, ANSWER = request(CALL), following(CALL) + ended(CALL, Result(0))
 
 
 async def answer_goals(stream: SocketStream) -> None:
@@ -70,6 +84,44 @@ async def serve(
             for listener in (for_goals, for_feedback)
         )
         tasks.cancel_scope.cancel()
+
+
+class Writer:
+    """Writes what is added in one turn of the event loop together."""
+
+    def __init__(self, stream: SocketStream) -> None:
+        self._stream = stream
+        self._data = bytearray()
+        self._added = anyio.Event()
+
+    def add(self, frame: bytes) -> None:
+        self._data += frame
+        self._added.set()
+
+    async def run(self) -> None:
+        while True:
+            await self._added.wait()
+            data, self._data, self._added = self._data, bytearray(), anyio.Event()
+            await self._stream.send(bytes(data))
+
+
+async def answer_goals_in_tasks(stream: SocketStream) -> None:
+    without_delay(stream)
+    reader, writer = FrameReader(MAX_FRAME), Writer(stream)
+    async with stream, anyio.create_task_group() as tasks:
+        tasks.start_soon(writer.run)
+        async for data in stream:
+            for frame in reader.feed(data):
+                tasks.start_soon(answer_goal, frame, writer)
+        tasks.cancel_scope.cancel()
+
+
+async def answer_goal(frame: bytes, writer: Writer) -> None:
+    sent = decode_from_client(frame)
+    assert isinstance(sent, messages.SendGoal)
+    goal = ACTION.goal.decode(sent.goal)
+    writer.add(following(sent.id))
+    writer.add(ended(sent.id, Result(goal.count)))
 
 
 async def send_feedback(stream: SocketStream) -> None:
@@ -119,6 +171,19 @@ async def connect(address: str) -> AsyncGenerator[Contender, None]:
         yield OverSockets(*streams)
 
 
+@asynccontextmanager
+async def connect_with_tasks(address: str) -> AsyncGenerator[Contender, None]:
+    async with connected(address) as streams, anyio.create_task_group() as tasks:
+        contender = OverTaskSockets(*streams)
+        tasks.start_soon(contender.writer.run)
+        tasks.start_soon(contender.read)
+        yield contender
+        tasks.cancel_scope.cancel()
+
+
+ENDS = {"tasks": Ends(partial(serve, answer_goals_in_tasks), connect_with_tasks)}
+
+
 class OverSockets(Contender):
     def __init__(self, goals: SocketStream, feedback: SocketStream) -> None:
         self._goals = goals
@@ -155,6 +220,33 @@ class OverSockets(Contender):
             seen = 0
             while seen < 2 * size:
                 seen += len(reader.feed(await self._goals.receive(CHUNK)))
+
+
+class OverTaskSockets(OverSockets):
+    def __init__(self, goals: SocketStream, feedback: SocketStream) -> None:
+        super().__init__(goals, feedback)
+        self.writer = Writer(goals)
+        self._ids = itertools.count(CALL)
+        self._ended: dict[int, anyio.Event] = {}
+
+    goals, batches = Contender.goals, Contender.batches
+
+    async def goal(self) -> None:
+        call_id = next(self._ids)
+        self.writer.add(request(call_id))
+        self._ended[call_id] = has_ended = anyio.Event()
+        await has_ended.wait()
+
+    async def read(self) -> None:
+        """Read the messages of the server, and wake the goals that have ended."""
+        reader = FrameReader(MAX_FRAME)
+        while True:
+            for frame in reader.feed(await self._goals.receive(CHUNK)):
+                message = decode_from_server(frame)
+                if isinstance(message, messages.Ended):
+                    assert message.result is not None
+                    ACTION.result.decode(message.result)
+                    self._ended.pop(message.id).set()
 
 
 def without_delay(stream: SocketStream) -> None:

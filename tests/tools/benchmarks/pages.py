@@ -187,19 +187,6 @@ def _memory(report: dict[str, Any]) -> str:
     )
 
 
-def _growth(report: dict[str, Any]) -> str:
-    rows = [
-        [
-            label,
-            *(f"{micros:,.0f} µs" for micros in values["microseconds"].values()),
-            f"{values['cost_ratio']:g}",
-        ]
-        for label, values in _by_group(report)
-    ]
-    head = ["One more goal", *(f"{count:,} active" for count in report["counts"])]
-    return markdown_table([*head, "Last to first"], rows)
-
-
 def _start(report: dict[str, Any]) -> str:
     rows = [
         [
@@ -221,7 +208,6 @@ TABLES: dict[str, tuple[str, Callable[[dict[str, Any]], str], str]] = {
     "goal_latency": ("How long a goal takes", _goal_latencies, SHORTER),
     "feedback_latency": ("How long a feedback message takes", _feedback_latencies, SHORTER),
     "memory": ("Memory of a process with active goals", _memory, ""),
-    "growth": ("What one more goal costs among many", _growth, ""),
     "start": ("The processor's time that a start takes", _start, ""),
 }
 """For each comparison: the subject of its picture, its table, and the subject of its ratios."""

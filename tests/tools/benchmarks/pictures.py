@@ -72,21 +72,6 @@ def _memory(report: dict[str, Any]) -> str:
     return bars("Memory of a process with active goals", what, panels, one_scale=True)
 
 
-def _growth(report: dict[str, Any]) -> str:
-    panels = [
-        Panel(
-            one["label"],
-            [
-                Bar(f"{int(count):,} active", micros, f"{micros:,.0f} µs", one["ours"])
-                for count, micros in one["microseconds"].items()
-            ],
-        )
-        for one in report["ways"].values()
-    ]
-    what = "Shorter is better. Each panel has its own scale: what counts is whether it grows."
-    return bars("One more goal, beside many that are active", what, panels)
-
-
 def _start(report: dict[str, Any]) -> str:
     def row(values: dict[str, Any]) -> Bar:
         spread = (values["low"], values["high"])
@@ -106,6 +91,5 @@ PICTURES: dict[str, Callable[[dict[str, Any]], str]] = {
     "goal_latency": _latencies("From the sending of a goal to its result", "ended"),
     "feedback_latency": _latencies("From the yield of a feedback message to its reader", "seen"),
     "memory": _memory,
-    "growth": _growth,
     "start": _start,
 }

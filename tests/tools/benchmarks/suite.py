@@ -13,7 +13,7 @@ from time import perf_counter
 from typing import Any
 
 from tests.support.json_program import ROOT
-from tests.tools.benchmarks import growing, pages, pictures, rounds, starting
+from tests.tools.benchmarks import memory, pages, pictures, rounds, starting
 from tests.tools.benchmarks.ways import (
     ROS,
     WAYS,
@@ -58,10 +58,9 @@ async def measure(scale: float) -> AsyncGenerator[dict[str, Any], None]:
                 way = WAYS[key]
                 values |= {"label": way.label, "group": way.group, "ours": way.is_ours}
             yield {"comparison": name, **about, **found}
-    memory, growth = await growing.growth(without, scale)
+    found = await memory.measure(without, scale)
     about["left_out"] = {WAYS[key].label: reason for key, reason in without.items()}
-    yield {"comparison": "memory", **about, **memory}
-    yield {"comparison": "growth", **about, **growth}
+    yield {"comparison": "memory", **about, **found}
     yield {"comparison": "start", **about, **starting.start(without, scale)}
 
 

@@ -9,10 +9,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.tools.benchmarks import pages, suite
-from tests.tools.benchmarks.growing import MEASURED
+from tests.support.page_parts import part_of
+from tests.tools.benchmarks import functions, pages, pythons, suite
+from tests.tools.benchmarks.memory import MEASURED
 from tests.tools.benchmarks.pictures import PICTURES, picture
 from tests.tools.benchmarks.starting import STARTS
+from tests.tools.benchmarks.versions import ORDERS
 from tests.tools.benchmarks.ways import WAYS
 from tests.tools.drawing import Bar, Panel, bars
 
@@ -31,6 +33,24 @@ def test_the_tables_of_the_page_are_made_of_the_reports() -> None:
     page = pages.PAGE.read_text(encoding="utf-8")
 
     assert pages.with_tables(page, REPORTS) == page
+
+
+def test_the_page_has_a_row_for_each_work_of_pythons_and_of_functions() -> None:
+    page = pages.PAGE.read_text(encoding="utf-8")
+    of_pythons, of_functions = (
+        part_of(page, name, f"python -m tests.tools.benchmarks.{name}")
+        for name in ("pythons", "functions")
+    )
+    for order in ORDERS:
+        where, _, work = order.partition(" ")
+        assert f"| fibaction, {where}: {pythons.NAMES[work]} | " in of_pythons
+        assert f"| {functions.PLACES[where]}, {functions.KINDS[work]} | " in of_functions
+
+
+def test_a_cell_of_pythons_has_the_median_and_where_half_of_the_ratios_are() -> None:
+    made = pythons.table({"tcp batches": {"3.12.1": [1.0, 1.25, 1.5]}}, "3.11.7")
+    assert made.splitlines()[0].endswith("to that with 3.11.7 (more than 1: faster) | 3.12.1 |")
+    assert made.splitlines()[2] == "| fibaction, tcp: 500 at once | 1.25 (1.00 to 1.50) |"
 
 
 @every_report
@@ -53,7 +73,6 @@ def test_who_is_not_compared_was_left_out_by_name(name: str) -> None:
     shown = {
         "start": {key for key, start in STARTS.items() if start.needs},
         "memory": {key for key in MEASURED if not WAYS[key].is_ours},
-        "growth": {key for key in MEASURED if not WAYS[key].is_ours},
     }.get(name, set(WAYS))
 
     there = {key.partition("_")[0] if name == "memory" else key for key in report["ways"]}

@@ -18,8 +18,7 @@ import pytest
 
 from tests.support.json_program import ROOT
 from tests.support.nats_server import IS_LEFT_OUT
-from tests.tools.benchmarks import growing, pages, rounds, starting, suite, versions
-from tests.tools.benchmarks.functions import ADDRESSES, KINDS
+from tests.tools.benchmarks import functions, pages, rounds, starting, suite, versions
 from tests.tools.benchmarks.pictures import picture
 from tests.tools.benchmarks.ways import WAYS
 
@@ -33,16 +32,6 @@ SMALL: Mapping[str, tuple[list[str], Mapping[str, object], list[str]]] = {
         ["inproc,   1 at once, full", "tcp, 500 at once, normal", "tcp, 500 at once, disk"],
     ),
     "fleet": (["feedback", "--rounds", "1"], {"TIME": 0.01}, ["feedback of one goal: "]),
-    "functions": (
-        ["--rounds", "1"],
-        {"GOALS": 1, "AT_ONCE": 2, "MESSAGES": 3, "WARM_UP": 0},
-        [f"| {where}, {kind} |" for where in ADDRESSES for kind in KINDS],
-    ),
-    "many_participants": (
-        ["4", "--processes", "2"],
-        {"IDLE": 0.1},
-        ["4 participants in 2 processes are ready", "each has run a goal", "idle "],
-    ),
     "sizes": (
         ["--most", "2", "--times", "5"],
         {},
@@ -100,7 +89,7 @@ def test_a_program_prints_its_rows(name: str, tmp_path: Path) -> None:
 async def test_the_whole_of_make_bench_makes_a_report_a_picture_and_a_table_of_each_comparison(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (growing, rounds, starting):
+    for module in (rounds, starting):
         made_small(monkeypatch, module, {"ROUNDS": 2})
     others = {key: "not asked for" for key in WAYS if key not in FEW_WAYS}
     made_small(monkeypatch, suite, {"left_out": lambda: dict(others)})
@@ -117,15 +106,23 @@ async def test_the_whole_of_make_bench_makes_a_report_a_picture_and_a_table_of_e
     assert pages.with_tables(page, reports) != page
 
 
+@pytest.fixture
+def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    work = {"goals": 2, "batches": 1, "feedback": 10}
+    made_small(monkeypatch, versions, {"WORK": work, "WARM_UP": 0})
+
+
+@pytest.mark.usefixtures("little_work")
 @pytest.mark.parametrize("uvloop", [False, True])
 def test_this_version_beside_itself_has_a_ratio_for_each_order(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], uvloop: bool
+    capsys: pytest.CaptureFixture[str], uvloop: bool
 ) -> None:
-    made_small(
-        monkeypatch, versions, {"WORK": {"goals": 2, "batches": 1, "feedback": 10}, "WARM_UP": 0}
-    )
-
     anyio.run(versions.run, ROOT, 2, 1, versions.ORDERS, uvloop)
 
     printed = capsys.readouterr().out
     assert all(order in printed for order in versions.ORDERS)
+
+
+@pytest.mark.usefixtures("little_work")
+def test_a_function_beside_a_generator_has_a_row_for_each_order() -> None:
+    assert anyio.run(functions.measure, 1).count("\n| ") == 1 + len(versions.ORDERS)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.tools.benchmarks import suite
+from tests.tools.benchmarks import memory, suite
 from tests.tools.benchmarks.ways import (
     IN_ONE,
     ROS,
     WAYS,
+    Pair,
     Way,
     left_out,
     left_out_here,
@@ -19,9 +22,6 @@ from tests.tools.benchmarks.ways import (
 )
 
 BROKEN = Way("broken peer", IN_ONE, "nothing_of_that_name", is_ours=False, has_server=False)
-EVERYTHING = dict.fromkeys(
-    ("grpc", "nats", "ros2", "rclpy", "rclpy_deep", "rclpy_events"), "not asked for"
-)
 
 
 def test_a_library_that_is_not_installed_is_named() -> None:
@@ -79,3 +79,35 @@ async def test_that_fibaction_itself_does_not_start_is_an_error() -> None:
     with pytest.raises(RuntimeError, match="unknown contender"):
         async with AsyncExitStack() as stack:
             await suite.start_all(stack, {"broken": BROKEN._replace(is_ours=True)}, {})
+
+
+class Bearing:
+    """A client that bears so many active goals."""
+
+    resident = 10**6
+
+    def __init__(self, most: float) -> None:
+        self._left = most
+
+    async def ask(self, do: str, times: int = 1) -> Any:
+        if do == "hold":
+            self._left -= times
+        if self._left < 0:
+            raise RuntimeError("too many")
+        return [times, times * 0.01]
+
+
+@pytest.mark.asyncio
+async def test_a_peer_that_does_not_bear_so_many_goals_is_left_out_and_the_others_are_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @asynccontextmanager
+    async def started(way: Way) -> AsyncGenerator[Pair, None]:
+        end: Any = Bearing(10**6 if way.is_ours else 1000)
+        yield Pair(end if way.has_server else None, end)
+
+    monkeypatch.setattr(memory, "started", started)
+    without: dict[str, str] = {}
+    found = await memory.measure(without, 1)
+    assert without == {"grpc": "it failed with 10,000 active goals"}
+    assert set(found["ways"]) == {"inproc", "tcp_server", "tcp_client"}

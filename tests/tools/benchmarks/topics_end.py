@@ -12,7 +12,7 @@ import json
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping
 from threading import Thread
 from typing import Any
 
@@ -61,7 +61,24 @@ def ticks(times: int, period: float) -> Iterable[float]:
         yield max(0.0, due - time.perf_counter())
 
 
-def stock(*names: str) -> None:
+async def messages(heard: Mapping[str, Heard]) -> AsyncGenerator[tuple[str, str, float], None]:
+    """Carry out the orders; yield each message that is due, with its contender and the seconds that
+    are left until then, and for `to` the port of the other end in their place.
+    """
+    read: Callable[[], str] = sys.stdin.readline
+    while line := await anyio.to_thread.run_sync(read, abandon_on_cancel=True):
+        order = json.loads(line)
+        what, _, name = order["do"].partition(" ")
+        if what == "heard":
+            say(heard[name].taken())
+            continue
+        waits = [order["times"]] if what == "to" else ticks(order["times"], PERIODS[what])
+        for wait in waits:
+            yield what, name, wait
+        say("done")
+
+
+async def stock(*names: str) -> None:
     """Publish for, and hear, each of these; one of them is what this is measured as."""
     import rclpy
     from geometry_msgs.msg import Twist
@@ -82,22 +99,15 @@ def stock(*names: str) -> None:
     executor.add_node(node)
     Thread(target=executor.spin, daemon=True).start()
     say("ready")
-    for line in sys.stdin:
-        order = json.loads(line)
-        what, _, name = order["do"].partition(" ")
-        if what == "heard":
-            say(heard[name].taken())
-            continue
-        for wait in ticks(order["times"], PERIODS[what]):
-            if wait:
-                time.sleep(wait)  # noqa: TID251  # programs of rclpy block
-            if what == "large":
-                large[name].publish(UInt8MultiArray(data=LARGE))
-            else:
-                twist = Twist()
-                twist.linear.x = wait
-                small[name].publish(twist)
-        say("done")
+    async for what, name, wait in messages(heard):
+        if wait:
+            time.sleep(wait)  # noqa: ASYNC251, TID251  # programs of rclpy block
+        if what == "large":
+            large[name].publish(UInt8MultiArray(data=LARGE))
+        else:
+            twist = Twist()
+            twist.linear.x = wait
+            small[name].publish(twist)
 
 
 async def ours(name: str) -> None:
@@ -106,8 +116,8 @@ async def ours(name: str) -> None:
 
     heard = Heard()
 
-    async def hear(messages: Subscription[Any]) -> None:
-        async for message in messages:
+    async def hear(subscription: Subscription[Any]) -> None:
+        async for message in subscription:
             heard.note(message)
 
     async with (
@@ -119,25 +129,17 @@ async def ours(name: str) -> None:
         tasks.start_soon(hear, node.subscribe(f"to_{name}", SMALL_TYPE, depth=DEPTH))
         tasks.start_soon(hear, node.subscribe(f"large_to_{name}", LARGE_TYPE))
         say("ready")
-        read: Callable[[], str] = sys.stdin.readline
-        while line := await anyio.to_thread.run_sync(read, abandon_on_cancel=True):
-            order = json.loads(line)
-            what, _, name = order["do"].partition(" ")
-            if what == "heard":
-                say(heard.taken())
-                continue
-            for wait in ticks(order["times"], PERIODS[what]):
-                if wait:
-                    await anyio.sleep(wait)
-                if what == "large":
-                    await large.publish({"data": LARGE})
-                else:
-                    await small.publish({"linear": {"x": wait}})
-            say("done")
+        async for what, _, wait in messages({name: heard}):
+            if wait:
+                await anyio.sleep(wait)
+            if what == "large":
+                await large.publish({"data": LARGE})
+            else:
+                await small.publish({"linear": {"x": wait}})
         tasks.cancel_scope.cancel()
 
 
-async def bare() -> None:
+async def bare(name: str) -> None:
     """Send and count datagrams, with nothing but a socket and the event loop."""
     heard, loop = Heard(), asyncio.get_running_loop()
 
@@ -153,22 +155,14 @@ async def bare() -> None:
         loop.add_reader(own, hear)
         say(own.getsockname()[1])
         port = 0
-        while line := await anyio.to_thread.run_sync(sys.stdin.readline, abandon_on_cancel=True):
-            order = json.loads(line)
-            what = order["do"].partition(" ")[0]
-            if what == "heard":
-                say(heard.taken())
-                continue
+        async for what, _, wait in messages({name: heard}):
             if what == "to":
-                port = order["times"]
-            else:
-                datagrams = PIECES if what == "large" else [b"!" + bytes(51)]
-                for wait in ticks(order["times"], PERIODS[what]):
-                    if wait:
-                        await anyio.sleep(wait)
-                    for datagram in datagrams:
-                        own.sendto(datagram, ("127.0.0.1", port))
-            say("done")
+                port = int(wait)
+                continue
+            if wait:
+                await anyio.sleep(wait)
+            for datagram in PIECES if what == "large" else [b"!" + bytes(51)]:
+                own.sendto(datagram, ("127.0.0.1", port))
         loop.remove_reader(own)
 
 
@@ -177,6 +171,6 @@ if __name__ == "__main__":
     if end == "fibaction":
         anyio.run(ours, end)
     elif end.startswith("bare"):
-        anyio.run(bare)
+        anyio.run(bare, "bare")
     else:
-        stock(*(CONTENDERS if end == "stock" else [end]))
+        anyio.run(stock, *(CONTENDERS if end == "stock" else [end]))

@@ -2,7 +2,8 @@
 
 It is run as a file, so that `fibaction` is that of `PYTHONPATH`, and uses nothing that an earlier
 version does not have. It is told what to do in lines of JSON, and answers with the seconds of the
-processor's time that it took. With `--uvloop` it runs on uvloop.
+processor's time that it took. With `--uvloop` it runs on uvloop, and with `--function` the executor
+is a function in place of a generator.
 """
 
 from __future__ import annotations
@@ -12,15 +13,25 @@ import json
 import sys
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from time import process_time
+from typing import Any
 
 import anyio
 
-from fibaction import Action, ActionClient, ActionServer, GoalHandle, connect, serve
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionServer,
+    GoalHandle,
+    Report,
+    action,
+    connect,
+    serve,
+)
 
 COUNT = Action("count", goal=int, feedback=int, result=str)
 AT_ONCE = 500
 
-Client = ActionClient[int, int, str]
+Client = ActionClient[Any, int, str]
 
 
 async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
@@ -28,6 +39,14 @@ async def count(goal: GoalHandle[int]) -> AsyncGenerator[int | str, None]:
     for number in range(goal.request):
         yield number
     yield "done"
+
+
+@action("count")
+async def count_by_function(report: Report[int], times: int) -> str:
+    """Report as much feedback as the goal says."""
+    for number in range(times):
+        await report(number)
+    return "done"
 
 
 async def goals(client: Client, times: int) -> None:
@@ -55,11 +74,13 @@ ORDERS: dict[str, Callable[[Client, int], Awaitable[None]]] = {
 
 
 async def main() -> None:
-    server = ActionServer(COUNT, count)
+    by_function = "--function" in sys.argv
+    served: Action[Any, int, str] = count_by_function if by_function else COUNT
+    server = ActionServer(count_by_function) if by_function else ActionServer(COUNT, count)
     async with (
         serve(server, "inproc://count", "tcp://127.0.0.1:0") as (here, there),
-        connect(here, COUNT) as inproc,
-        connect(there, COUNT) as tcp,
+        connect(here, served) as inproc,
+        connect(there, served) as tcp,
     ):
         clients = {"inproc": inproc, "tcp": tcp}
         print(json.dumps(sys.modules["fibaction"].__file__), flush=True)

@@ -36,7 +36,8 @@ class Version(NamedTuple):
 
     root: Path = ROOT
     python: Path = Path(sys.executable)
-    uvloop: bool = False
+    options: tuple[str, ...] = ()
+    """The options of `version_child`."""
 
 
 async def compare(
@@ -52,11 +53,10 @@ async def compare(
     }
     async with AsyncExitStack() as stack:
         running: dict[str, Program] = {}
-        for name, (root, python, uvloop) in versions.items():
+        for name, (root, python, options) in versions.items():
             paths = os.pathsep.join(map(str, (root, root / "transports")))
-            loop = ["--uvloop"] if uvloop else []
             running[name] = await stack.enter_async_context(
-                program(python, "-P", child, *loop, environment={"PYTHONPATH": paths})
+                program(python, "-P", child, *options, environment={"PYTHONPATH": paths})
             )
             found = Path(await running[name].line())
             assert found.is_relative_to(root), f"it imports {found}"
@@ -74,7 +74,8 @@ async def beside(
     other: Path, rounds: int, starts: int, orders: Sequence[str], *, uvloop: bool = False
 ) -> dict[str, list[list[float]]]:
     """Return for each order the ratios of this version's rate to another's, of each start."""
-    pair = {"other": Version(other, uvloop=uvloop), "this": Version(uvloop=uvloop)}
+    options = ("--uvloop",) if uvloop else ()
+    pair = {"other": Version(other, options=options), "this": Version(options=options)}
     ratios: dict[str, list[list[float]]] = {order: [] for order in orders}
     for _ in range(starts):
         found = await compare(pair, rounds, orders)

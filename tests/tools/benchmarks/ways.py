@@ -51,7 +51,7 @@ WAYS = {
     "grpc": Way("grpc.aio", BETWEEN, "grpc", is_ours=False),
     "nats": Way("NATS", BETWEEN, "nats", is_ours=False),
     "sockets": Way("bare anyio sockets", BETWEEN, "sockets", is_ours=False),
-    "task_sockets": Way("bare sockets, a task a goal", BETWEEN, "task_sockets", is_ours=False),
+    "task_sockets": Way("bare sockets, a task a goal", BETWEEN, "sockets.tasks", is_ours=False),
     "ros2": Way("fibaction, ros2", ROS, "fibaction.ros2"),
     "rclpy": Way("rclpy", ROS, "rclpy", is_ours=False),
     "rclpy_deep": Way("rclpy, queues of 3,000", ROS, "rclpy.deep", is_ours=False),

@@ -1,4 +1,4 @@
-"""Memory of an active goal and of a kept result, and the cost of a goal beside many active ones.
+"""Memory of an active goal and of a kept result.
 
 Memory is the resident memory of a whole process, with Python, the libraries, and the free memory
 that the allocator keeps.
@@ -6,17 +6,14 @@ that the allocator keeps.
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
-from statistics import median
 from typing import Any
 
 from tests.tools.benchmarks.ways import KEPT, WAYS, Pair, started
 
 MEASURED = ("inproc", "tcp", "grpc")
 COUNTS = (10, 1000, 10_000)
-ROUNDS = 5
-GOALS_EACH = 400
-"""Goals in a round that measures the cost of one more goal."""
+WARM_UP = 400
+"""Goals that run before memory is measured."""
 FIRST_RESULTS = 1000
 """Results that are kept before memory is measured for the first time."""
 AIM = 120
@@ -41,44 +38,35 @@ def labels() -> dict[str, str]:
     return named
 
 
-async def growth(without: dict[str, str], scale: float) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Measure the reports `memory` and `growth`, both with the same goals.
+async def measure(without: dict[str, str], scale: float) -> dict[str, Any]:
+    """Measure the report `memory`.
 
     A peer that fails with so many goals is left out from then on.
     """
     counts = sorted({max(10, round(count * scale)) for count in COUNTS})
-    keys = [key for key in MEASURED if key not in without]
     resident: dict[str, dict[int, int]] = {}
-    seconds: dict[str, dict[int, list[float]]] = {key: {} for key in keys}
-    async with AsyncExitStack() as stack:
-        pairs = {key: await stack.enter_async_context(started(WAYS[key])) for key in keys}
-        for pair in pairs.values():
-            await pair.client.ask("goals", GOALS_EACH)
+    for key in [key for key in MEASURED if key not in without]:
+        sizes: dict[str, dict[int, int]] = {}
         held = 0
-        for count in counts:
-            for key, pair in tuple(pairs.items()):
-                try:
+        async with started(WAYS[key]) as pair:
+            await pair.client.ask("goals", WARM_UP)
+            try:
+                for count in counts:
                     await pair.client.ask("hold", count - held)
                     await pair.client.ask("goals", 1)  # sent after them, so they have begun
-                except RuntimeError:
-                    if WAYS[key].is_ours:
-                        raise
-                    without[key] = f"it failed with {count:,} active goals"
-                    del pairs[key], seconds[key]
-                    resident = {n: s for n, s in resident.items() if n.partition("_")[0] != key}
-                    continue
-                for name, size in processes(key, pair).items():
-                    resident.setdefault(name, {})[count] = size
-            held = count
-            times = max(20, round(GOALS_EACH * scale))
-            for _ in range(ROUNDS):
-                for key, pair in pairs.items():
-                    done, taken = await pair.client.ask("goals", times)
-                    seconds[key].setdefault(count, []).append(taken / done)
-    return _memory(resident, counts, await kept(scale)), _growth(seconds, counts)
+                    held = count
+                    for name, size in processes(key, pair).items():
+                        sizes.setdefault(name, {})[count] = size
+            except RuntimeError:
+                if WAYS[key].is_ours:
+                    raise
+                without[key] = f"it failed with {count:,} active goals"
+            else:
+                resident |= sizes
+    return _report(resident, counts, await kept(scale))
 
 
-def _memory(
+def _report(
     resident: dict[str, dict[int, int]], counts: list[int], results: dict[str, float]
 ) -> dict[str, Any]:
     named = labels()
@@ -110,19 +98,3 @@ async def kept(scale: float) -> dict[str, float]:
                 if not name.endswith("client"):  # a client keeps no results
                     found[name] = round((size - before[name]) / more / KILO, 2)
     return found
-
-
-def _growth(seconds: dict[str, dict[int, list[float]]], counts: list[int]) -> dict[str, Any]:
-    ways: dict[str, Any] = {}
-    for key, of_counts in seconds.items():
-        first, last = of_counts[counts[0]], of_counts[counts[-1]]
-        ways[key] = {
-            "label": WAYS[key].label,
-            "group": WAYS[key].group,
-            "ours": WAYS[key].is_ours,
-            "microseconds": {
-                str(count): round(median(taken) * 1e6, 1) for count, taken in of_counts.items()
-            },
-            "cost_ratio": float(f"{median(last) / median(first):.3g}"),
-        }
-    return {"counts": counts, "ways": ways, "ratios": []}
