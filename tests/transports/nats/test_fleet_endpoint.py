@@ -591,19 +591,25 @@ class Logging(ForwardingEndpoint):
         return self._lines
 
 
-async def test_the_log_lines_of_all_attempts_at_a_goal_are_told_in_their_order(
+async def test_the_log_lines_of_all_attempts_are_told_in_order_by_the_workers_that_are_reached(
     fleet: FakeFleet,
 ) -> None:
     async with (
-        fleet.worker("a").serve(Logging(server(), 1, 4)),
-        fleet.worker("b").serve(Logging(server(), 2)),
+        fleet.worker("a").serve(Logging(server(), 1, 4)) as a,
+        fleet.worker("b").serve(Logging(server(), 2)) as b,
         fleet.worker("c").serve(server()),
-        fleet.connect() as connection,
+        fleet.connect(reconnect_timeout=2) as connection,
     ):
-        lines = await connection.endpoint(COUNT).log_lines(GOAL_ID)
-    assert [line.at for line in lines or ()] == [1, 2, 4]
 
+        async def times() -> list[int]:
+            return [one.at for one in await connection.endpoint(COUNT).log_lines(GOAL_ID) or ()]
 
-async def test_a_fleet_whose_workers_keep_no_log_lines_tells_so(fleet: FakeFleet) -> None:
-    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
-        assert await connection.endpoint(COUNT).log_lines(GOAL_ID) is None
+        assert await times() == [1, 2, 4]
+        b.hang_up()  # its lease goes on
+        assert await times() == [1, 4]
+        a.hang_up()
+        with pytest.raises(ConnectionLost, match="is not there"):
+            await times()
+        a.end_lease()
+        b.end_lease()
+        assert await connection.endpoint(COUNT).log_lines(GOAL_ID) is None, "the third keeps none"

@@ -60,6 +60,7 @@ from fibaction.border.abc import (
 from fibaction.border.goal_store import checkpoint_to_tell
 from fibaction.border.peer_text import excerpt
 from fibaction.types.action import ActionInfo
+from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.messages import (
     LARGEST,
@@ -354,9 +355,7 @@ class FleetEndpoint(Endpoint):
         """Ask workers how they take goals, or to change that. One that drains is no example."""
 
         async def ask(worker: str) -> Intake:
-            calls = self._parts.connections.calls_of(worker)
-            await calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
-            return await calls.operate(self._info.name, change)
+            return await (await self._serving(worker)).operate(self._info.name, change)
 
         answers = await self.of_all(workers, ask)
         if not answers:
@@ -368,12 +367,13 @@ class FleetEndpoint(Endpoint):
 
     async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
         async def ask(worker: str) -> list[LogLine] | None:
-            calls = self._parts.connections.calls_of(worker)
-            await calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
-            return await calls.log_lines(self._info.name, goal_id)
+            return await (await self._serving(worker)).log_lines(self._info.name, goal_id)
 
-        told = await self.of_all(await self.workers(), ask)  # each may have had an attempt at it
+        # Each may have had an attempt at it; those of others are told without one that is away.
+        told, away = await self._of_reachable(await self.workers(), ask)
         kept = [lines for lines in told if lines is not None]
+        if away and not kept:
+            raise away[0]
         return sorted(chain(*kept), key=lambda line: line.at) if kept else None
 
     async def wait_for_server(self) -> None:
@@ -418,6 +418,12 @@ class FleetEndpoint(Endpoint):
             await patience.wait(moving(found) if isinstance(error, UnknownGoal) else error)
         return None
 
+    async def _serving(self, worker: str) -> OpenCalls:
+        """Return the calls at a worker as soon as it serves the action."""
+        calls = self._parts.connections.calls_of(worker)
+        await calls.ask(lambda call_id: AwaitServer(call_id, self._info.name), Done)
+        return calls
+
     async def _follow(self, worker: str, goal_id: GoalID, request: _Request) -> RemoteGoal:
         calls = self._parts.connections.calls_of(worker)
         return await calls.follow(goal_id, request, on_lost=self._lose_at(worker))
@@ -447,7 +453,22 @@ class FleetEndpoint(Endpoint):
         Raises:
             ActionError: The first error of a worker that is not gone.
         """
+        answers, away = await self._of_reachable(workers, ask)
+        if away:
+            raise away[0]
+        return answers
+
+    async def _of_reachable(
+        self, workers: Iterable[str], ask: Callable[[str], Awaitable[T]]
+    ) -> tuple[list[T], list[ActionError]]:
+        """Return the answers of all these workers, and the errors of those that live and are not
+        reached.
+
+        Raises:
+            ActionError: The first error that a worker has answered with.
+        """
         answers: list[T] = []
+        away: list[ActionError] = []
         errors: list[ActionError] = []
         living = self._parts.workers
 
@@ -460,7 +481,7 @@ class FleetEndpoint(Endpoint):
                 answers.append(await patience.retry(lambda: ask(worker), is_over))
             except (ConnectionLost, ServerNotFound) as exc:
                 if living.get(worker) is not None:
-                    errors.append(exc)
+                    away.append(exc)
             except ActionError as exc:
                 errors.append(exc)
 
@@ -469,4 +490,4 @@ class FleetEndpoint(Endpoint):
                 tasks.start_soon(ask_one, worker)
         if errors:
             raise errors[0]
-        return answers
+        return answers, away
