@@ -24,6 +24,8 @@ from fibaction.words.statuses import GoalStatus
 
 T = TypeVar("T")
 
+SECOND = 1_000_000_000
+"""Nanoseconds."""
 INCARNATION_SIZE = 8
 """Bytes of an incarnation: random, so that no two workers ever have the same."""
 NONCE_SIZE = 4
@@ -124,6 +126,13 @@ past_goal = reader(StoredGoal, "a record of the history")
 lease_entry = reader(LeaseEntry, "the lease of a worker")
 question = reader(RoomQuestion, "a question")
 offer = reader(RoomOffer, "an offer")
+
+
+def time_to_live(goal: StoredGoal, now: int, least: float = 1.0) -> float | None:
+    """Return the seconds for which the record of a goal stays, at least so many; None if it has no
+    end.
+    """
+    return max(least, (goal.keep_until - now) / SECOND) if goal.keep_until else None
 
 
 def is_claim(data: bytes) -> bool:

@@ -39,8 +39,7 @@ from fibaction_transports.nats.client.endpoint import FleetEndpoint, FleetParts
 from fibaction_transports.nats.client.free_workers import RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import Lines
-from fibaction_transports.nats.history.fleet_history import FleetHistory
-from fibaction_transports.nats.history.given_up import given_up_goals, rerun_goal
+from fibaction_transports.nats.fleet_history import FleetHistory, given_up_goals, rerun_goal
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.workers import FleetWorkers

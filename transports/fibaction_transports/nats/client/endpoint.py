@@ -96,7 +96,7 @@ from fibaction_transports.nats.client.call_routes import (
 from fibaction_transports.nats.client.free_workers import Place, Placement, RoomFinder
 from fibaction_transports.nats.client.statuses import AllStatuses
 from fibaction_transports.nats.client.worker_connections import WorkerConnections
-from fibaction_transports.nats.history.fleet_history import FleetHistory, first_of
+from fibaction_transports.nats.fleet_history import FleetHistory, first_of
 from fibaction_transports.nats.workers import FleetWorkers
 
 T = TypeVar("T")

@@ -31,14 +31,12 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.history.fleet_history import FleetHistory
-from fibaction_transports.nats.history.history_writes import HistoryWrites
+from fibaction_transports.nats.fleet_history import FleetHistory, HistoryWrites
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import ROOM_TO_GROW, LeaseEntry
+from fibaction_transports.nats.records import ROOM_TO_GROW, LeaseEntry, time_to_live
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.record_writes import (
     IS_STORED,
-    SECOND,
     AnswerQueue,
     HeldGoal,
     KeptOutcomes,
@@ -222,11 +220,9 @@ class FleetJournal(FleetHistory, GoalJournal):
             self._answered(held, write, PutError(PutFailure.TOO_LARGE, ""))
             return
         subject = self._names.goal(self.action, held.goal_id)
-        ttl = None
-        if write.kind == "end" and write.stored.keep_until:
-            ttl = max(
-                self._parts.history.least_ttl, (write.stored.keep_until - time.time_ns()) / SECOND
-            )
+        least, ttl = self._parts.history.least_ttl, None
+        if write.kind == "end":
+            ttl = time_to_live(write.stored, time.time_ns(), least)
 
         def answered(answer: int | PutError) -> None:
             if held.is_first(write):

@@ -24,7 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from copy import copy
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from fibaction.border.goal_store import (
     GoalTaken,
@@ -53,7 +53,6 @@ SPARE = {
 }
 """Bytes that are added to a record of this kind. Each later record of the goal has fewer, so that a
 full stream has room for it in place of the one before: for an end with a short result, too."""
-SECOND: Final = 1_000_000_000
 DELETED_TTL = 60.0
 """Seconds that a deleted record is remembered."""
 IS_STORED = -1

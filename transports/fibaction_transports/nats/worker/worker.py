@@ -7,15 +7,23 @@ again, is in that part (`MemberPart`).
 
 A worker listens to the questions about an action only while its server has room, and the brokers
 give each question to one of the workers that listen. So a worker with no room is not asked.
+
+While an executor blocks the event loop, a `LeaseThread` renews the lease. Each renewal has a
+connection of its own, which belongs to the event loop of the thread, and is closed after it: they
+are needed rarely. What is renewed, and when, is in `Membership`.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from threading import Event, Thread
+from typing import TypeAlias
 
-from anyio import CancelScope, sleep
+import anyio
+from anyio import CancelScope, move_on_after, sleep
 from anyio.abc import TaskGroup
 from anyio.lowlevel import checkpoint
 from msgspec.structs import replace
@@ -23,7 +31,7 @@ from msgspec.structs import replace
 from fibaction.border.abc import Endpoint, Notifier
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import GoalStore, KeySlots, StoredGoal, no_obstacle
-from fibaction.border.peer_text import excerpt
+from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.wire_server import open_server
 from fibaction.words.errors import ConnectionLost, ProtocolError, StoreError, TransportError
 from fibaction.words.goals import GoalID
@@ -34,8 +42,7 @@ from fibaction_transports.nats.records import LeaseEntry, RoomOffer, ServedActio
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.fleet_limits import FleetLimits
 from fibaction_transports.nats.worker.journal import FleetJournal, WorkerJournals
-from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, MemberPart, Membership
-from fibaction_transports.nats.worker.lease_thread import OpenBroker, lease_thread
+from fibaction_transports.nats.worker.lease import LONGEST_PAUSE, MARGIN, MemberPart, Membership
 from fibaction_transports.nats.worker.lost_streams import LostStreams
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.worker.takeover import Takeover
@@ -43,6 +50,19 @@ from fibaction_transports.nats.workers import FleetWorkers
 
 MOST_OFFERED = 16
 """The largest number of goals of one offer."""
+LOOKS_IN_A_LEASE = 16
+"""The number of looks in the time of one lease."""
+JOIN_TIMEOUT = 1.0
+"""Seconds for the thread to end. It ends at once, unless it is renewing the lease."""
+TEXT = (
+    "worker %r: its event loop is blocked, and a thread renews the lease: its goals stay here, and"
+    " answer nobody meanwhile"
+)
+
+OpenBroker: TypeAlias = Callable[[], AbstractAsyncContextManager[Broker]]
+"""Opens a connection to the brokers in the event loop that runs."""
+
+logger = clean_logger("fibaction.nats")
 
 
 class Offers(MemberPart):
@@ -289,6 +309,58 @@ class Worker(MemberPart):
         entry.actions = tuple(
             replace(one, unreadable=unreadable.get(one.info.name, 0)) for one in self._served
         )
+
+
+class LeaseThread(Thread):
+    """The thread that renews the lease of one worker, if its event loop does not."""
+
+    def __init__(self, membership: Membership, open_broker: OpenBroker) -> None:
+        super().__init__(name=f"fibaction lease {membership.worker}", daemon=True)
+        self._membership = membership
+        self._open_broker = open_broker
+        self._stopped = Event()
+
+    async def stop(self) -> None:
+        """Renew nothing more, and wait for the end of the thread, also if canceled."""
+        self._stopped.set()
+        with CancelScope(shield=True):
+            await anyio.to_thread.run_sync(self.join, JOIN_TIMEOUT)
+
+    def run(self) -> None:
+        """Look whether the event loop is blocked, again and again."""
+        me, told_at = self._membership, 0.0
+        while not self._stopped.wait(me.lease / LOOKS_IN_A_LEASE):
+            if me.is_blocked(time.monotonic()):
+                if told_at != me.alive_at:
+                    told_at = me.alive_at
+                    logger.warning(TEXT, me.worker)
+                try:
+                    anyio.run(self._renew, backend="asyncio")
+                except (BrokerAway, TransportError) as exc:
+                    logger.warning("worker %r: the lease is not renewed: %s", me.worker, exc)
+
+    async def _renew(self) -> None:
+        with move_on_after(self._membership.lease * MARGIN):
+            async with self._open_broker() as broker:
+                await self._membership.renew_blocked(broker)
+
+
+@asynccontextmanager
+async def lease_thread(
+    membership: Membership, open_broker: OpenBroker
+) -> AsyncGenerator[None, None]:
+    """Renew the lease of a worker whose event loop is blocked, while the block lasts."""
+    thread = LeaseThread(membership, open_broker)
+    try:
+        thread.start()
+    except RuntimeError as exc:  # the system has no threads, or no more of them
+        logger.warning("goals that block worker %r are lost for it: %s", membership.worker, exc)
+        yield
+        return
+    try:
+        yield
+    finally:
+        await thread.stop()
 
 
 @asynccontextmanager

@@ -1,1 +1,0 @@
-"""The history of a fleet: the goals that have ended, added by workers and read by clients."""
