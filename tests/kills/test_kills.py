@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import anyio
 import pytest
@@ -12,7 +11,7 @@ import pytest
 from fibaction import GoalID, GoalStatus, Outcome
 from tests.kills.harness import run
 from tests.kills.ledger import Ledger, Rules, attempts_of, faults_of
-from tests.kills.victim import TOO_HARD, Diary, Done, Entry, Work, entries_of
+from tests.kills.victim import TOO_HARD, Diary, Done, Entry, What, Work, entries_of
 
 
 @pytest.mark.promise("KEEP-1", "KEEP-2", "KEEP-3", "KEEP-4", "KEEP-5", "KEEP-6", "KEEP-7")
@@ -38,7 +37,7 @@ GIVEN_UP: Outcome[Done] = Outcome(
 RERUN, ABORT = Rules(rerun=True, max_attempts=3), Rules(rerun=False, max_attempts=3)
 
 
-def entry(what: Literal["began", "kept"], attempt: int, steps: int, at: int = 0) -> Entry:
+def entry(what: What, attempt: int, steps: int, at: int = 0) -> Entry:
     return Entry(at, what, str(GOAL), attempt, steps)
 
 
@@ -94,7 +93,7 @@ def test_a_server_that_keeps_its_promises_has_no_fault(told: Callable[[], list[s
         (lambda: faults(CANCELED), "was canceled, and no client asked for it"),
         (lambda: faults(RESTARTED), "ended as "),
         (lambda: faults(GIVEN_UP, rules=ABORT), "ended as "),
-        (lambda: faults(GIVEN_UP, canceled_at=5), "was aborted by a restart, although"),
+        (lambda: faults(GIVEN_UP, canceled_at=5), "was aborted as lost, although"),
         (
             lambda: faults(Outcome(GoalStatus.ABORTED, Done(3, 1), TOO_HARD), fails=True),
             "gave up after 3 of 4 steps",
@@ -102,6 +101,13 @@ def test_a_server_that_keeps_its_promises_has_no_fault(told: Callable[[], list[s
         (
             lambda: faults(SUCCEEDED, diary=(entry("began", 1, 0), entry("began", 1, 0))),
             "began attempt 1 after attempt 1",
+        ),
+        (
+            lambda: faults(
+                SUCCEEDED,
+                diary=(entry("began", 1, 0), entry("began", 2, 0), entry("stepped", 1, 1)),
+            ),
+            "took a step in attempt 1 after attempt 2 had begun",
         ),
         (
             lambda: faults(

