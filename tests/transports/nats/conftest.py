@@ -30,21 +30,16 @@ def log() -> Generator[Hearing, None, None]:
         yield found
 
 
-@pytest.fixture(scope="session")
-def shared_broker() -> Generator[NatsServer, None, None]:
+def broker() -> Generator[NatsServer, None, None]:
     if IS_LEFT_OUT:
         pytest.skip("nats-server is not installed: see the extra `broker`")
     with nats_server() as server:
         yield server
 
 
-@pytest.fixture
-def own_broker() -> Generator[NatsServer, None, None]:
-    """A broker to kill."""
-    if IS_LEFT_OUT:
-        pytest.skip("nats-server is not installed: see the extra `broker`")
-    with nats_server() as server:
-        yield server
+shared_broker = pytest.fixture(scope="session", name="shared_broker")(broker)
+own_broker = pytest.fixture(name="own_broker")(broker)
+"""A broker to kill."""
 
 
 @pytest.fixture

@@ -34,10 +34,10 @@ from tests.fleet.workers import Setup, workers
 from tests.kills.victim import WORK, Work
 from tests.support.nats_server import NatsServer
 from tests.support.processes import PATIENCE
-from tests.transports.nats.test_nats_broker import first_of, settings_of
+from tests.transports.nats.test_broker_rules import first_of, settings_of
 from tests.transports.web.http_client import fetch
 
-pytestmark = pytest.mark.asyncio
+pytestmark = pytest.mark.anyio
 COUNT = Action("count", goal=int, feedback=int, result=str)
 HOUR = 3600 * 10**9
 

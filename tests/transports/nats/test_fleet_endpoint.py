@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from fibaction import (
     Action,
+    ActionPeers,
     CancelCode,
     ConnectionLost,
     GoalHandle,
@@ -22,6 +23,7 @@ from fibaction import (
     Parent,
     Schedule,
     ServerNotFound,
+    StoreError,
     TransportError,
     UnknownGoal,
 )
@@ -613,3 +615,47 @@ async def test_the_log_lines_of_all_attempts_are_told_in_order_by_the_workers_th
         a.end_lease()
         b.end_lease()
         assert await connection.endpoint(COUNT).log_lines(GOAL_ID) is None, "the third keeps none"
+
+
+# What a client is told of a fleet as a whole
+
+
+async def test_actions_workers_and_peers_are_those_of_all_workers(fleet: FakeFleet) -> None:
+    async with (
+        fleet.worker("a").serve(server()),
+        fleet.worker("b").serve(server()),
+        fleet.connect() as connection,
+    ):
+        assert await connection.actions() == [COUNT.info]
+        assert [worker.name for worker in await connection.workers()] == ["a", "b"]
+        assert connection.endpoint(COUNT.info).info == COUNT.info
+        await client_of(connection).call(3)
+        assert await connection.peers("count") == ActionPeers(("a", "b"), ("client",))
+        with pytest.raises(ServerNotFound):
+            await connection.peers("fly")
+
+
+async def test_goals_that_were_given_up_are_those_of_the_fleet(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **{**ENDED, "goal": THREE})
+        (goal,) = (await connection.given_up())["count"]
+        assert goal.goal_id == GOAL_ID
+        with pytest.raises(StoreError, match="was not given up"):
+            await connection.rerun("fly", GOAL_ID)
+
+
+async def test_a_connection_that_was_left_is_of_no_use(fleet: FakeFleet) -> None:
+    async with fleet.worker("a").serve(server()):
+        async with fleet.connect() as connection:
+            client = client_of(connection)
+            await client.call(3)
+        for ask in (
+            lambda: client.call(3),
+            connection.actions,
+            connection.workers,
+            client.goals,
+            client.cancel_goals,
+            lambda: client.wait_for_server(),
+        ):
+            with pytest.raises(ConnectionLost, match="was closed here"):
+                await ask()

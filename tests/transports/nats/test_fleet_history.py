@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 import anyio
 import pytest
+from anyio import sleep
 
-from fibaction import GoalID, GoalInfo, GoalStatus, StoreError
+from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, ServerNotFound, StoreError
+from fibaction.border.abc import Endpoint, ForwardingEndpoint
 from fibaction.border.event_loop import Background
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goal_query import GoalQuery, PastPage
+from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from fibaction_transports.nats import fleet_history
 from fibaction_transports.nats.broker.broker import BrokerWatch
-from fibaction_transports.nats.history import fleet_history, history_writes
-from fibaction_transports.nats.history.fleet_history import HISTORY_TIMEOUT, FleetHistory
-from fibaction_transports.nats.history.history_writes import HistoryWrites
+from fibaction_transports.nats.fleet_history import (
+    HISTORY_TIMEOUT,
+    FleetHistory,
+    HistoryWrites,
+    given_up_goals,
+    rerun_goal,
+)
+from fibaction_transports.nats.records import SECOND, encode
 from tests.support.memory_broker import ANSWER_TIMEOUT, MemoryBroker, MemoryBrokers, Write
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.hearing import Hearing
+from tests.transports.nats.fake_fleet import (
+    COUNT,
+    ENDED,
+    GOAL_ID,
+    THREE,
+    FakeFleet,
+    FakeWorker,
+    client_of,
+    server,
+)
 from tests.transports.nats.members import LEASE, NAMES, Member, entry, goal, keep, member
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
@@ -107,7 +128,7 @@ async def test_what_a_lost_worker_has_not_added_is_added_by_another_one() -> Non
 async def test_records_of_lost_workers_are_looked_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(history_writes, "MOST_SEEN", 1)
+    monkeypatch.setattr(fleet_history, "MOST_SEEN", 1)
     async with MemoryBrokers() as shared, member(shared, "a") as a:
         for number in (1, 2):
             keep(shared, ended(number), b"gone")
@@ -170,7 +191,7 @@ async def test_brokers_that_are_away_are_waited_for_and_not_at_the_end() -> None
             writes.add("count", ended(), goal())
             begun = anyio.current_time()
             await writes.settle()
-            assert anyio.current_time() == begun + history_writes.LAST_WRITES
+            assert anyio.current_time() == begun + fleet_history.LAST_WRITES
             broker.is_away = False
             await anyio.sleep(2 * ANSWER_TIMEOUT)
         assert len(shared.heads) == len(shared.records) == 1
@@ -193,7 +214,7 @@ async def test_goals_for_which_there_is_no_room_are_left_out_with_one_line(log: 
 async def test_goals_that_end_while_too_much_waits_are_left_out(
     log: Hearing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(history_writes, "MOST_WAITING", 1)
+    monkeypatch.setattr(fleet_history, "MOST_WAITING", 1)
     async with MemoryBrokers() as shared:
         past = await noted(shared.member(), 1, 2, 3)
         assert stamps(await past.past_goals(PastPage())) == [1]
@@ -312,3 +333,213 @@ async def test_brokers_that_stop_to_tell_the_history_are_an_error(
         monkeypatch.setattr(broker, "watch", stopping)
         with pytest.raises(StoreError, match=f"no answer within {HISTORY_TIMEOUT:g} s"):
             await past.past_goals(PastPage())
+
+
+# The goals of a fleet that were given up
+
+
+def given_up(number: int = 1, **fields: object) -> StoredGoal:
+    """Return a goal that was given up as the number-th one."""
+    changes: dict[str, object] = {"status": GoalStatus.ABORTED, "is_running": False}
+    changes |= {"ended_at": number, "reason": "given up", "checkpoint": b"half", **fields}
+    return goal(number, **changes)
+
+
+async def test_they_are_listed_in_the_order_of_their_ends() -> None:
+    async with MemoryBrokers() as shared:
+        for number in (3, 1, 2):
+            keep(shared, given_up(number))
+        keep(shared, goal(4))
+        keep(shared, given_up(5, goal=b""))
+        shared.put(NAMES.goal("count", goal(6).goal_id), b"", 0, 60)
+        found = await given_up_goals(shared.member(), NAMES)
+        assert found == {"count": [given_up(1), given_up(2), given_up(3)]}
+
+
+async def test_one_runs_again_once_as_a_new_goal_from_its_checkpoint() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        until = time.time_ns() + 100 * SECOND
+        keep(shared, given_up(keep_until=until))
+        rerun = partial(rerun_goal, shared.member(), NAMES)
+        new = await rerun("count", given_up().goal_id)
+        (claimed,) = await a.claims(1, within=1)
+        assert claimed.goal_id == new != given_up().goal_id
+        assert (claimed.goal, claimed.checkpoint) == (b"goal", b"half")
+        assert (claimed.attempt, claimed.is_running) == (0, False)
+        old = entry(shared, given_up()).goal
+        assert (old.status, old.reason, old.keep_until) == (GoalStatus.ABORTED, "given up", until)
+        assert not old.is_given_up
+        with pytest.raises(StoreError, match="was not given up, or is not kept any more"):
+            await rerun("count", given_up().goal_id)
+
+
+async def test_what_was_not_given_up_does_not_run_again() -> None:
+    async with MemoryBrokers() as shared:
+        rerun = partial(rerun_goal, shared.member(), NAMES)
+        with pytest.raises(StoreError, match="was not given up, or is not kept any more"):
+            await rerun("count", goal().goal_id)
+        keep(shared, given_up())
+        keep(shared, given_up().as_new(1))
+        with pytest.raises(StoreError, match="runs again already, as goal "):
+            await rerun("count", given_up().goal_id)
+        shared.is_full = True
+        keep_again = given_up(2)
+        shared.is_full = False
+        keep(shared, keep_again)
+        shared.is_full = True
+        with pytest.raises(StoreError, match="cannot be run again: "):
+            await rerun("count", keep_again.goal_id)
+
+
+async def test_an_endpoint_and_a_worker_run_one_again_or_tell_that_it_was_not_given_up() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        keep(shared, given_up())
+        history = FleetHistory(shared.member(), NAMES, "count")
+        new = await history.rerun(given_up().goal_id)
+        (claimed,) = await a.claims(1, within=1)
+        assert claimed.goal_id == new
+        assert await history.rerun(given_up().goal_id) is None
+
+
+async def test_brokers_that_are_away_are_an_error() -> None:
+    async with MemoryBrokers() as shared:
+        broker = shared.member()
+        broker.is_away = True
+        rerun = partial(rerun_goal, broker, NAMES)
+        with pytest.raises(ConnectionLost, match="the goals of the fleet cannot be listed: "):
+            await given_up_goals(broker, NAMES)
+        with pytest.raises(StoreError, match="cannot be read"):
+            await FleetHistory(broker, NAMES, "count").rerun(goal().goal_id)
+        with pytest.raises(ConnectionLost, match="the record of goal 0101"):
+            await rerun("count", given_up().goal_id)
+
+
+async def test_a_fleet_keeps_so_many_of_them_also_over_restarts_of_its_workers() -> None:
+    async with MemoryBrokers() as shared:
+        for number in range(1, 12):
+            keep(shared, given_up(number))
+        async with member(shared, "a") as a:  # it keeps nine
+            await sleep(1)
+            kept = [one.stamp for one in (await given_up_goals(a.broker, NAMES))["count"]]
+            assert kept == list(range(3, 12))
+            a.accept(goal(20), goal(21))
+            a.journal.end(given_up(20), lambda _error: None)
+            a.journal.end(given_up(21, goal=b""), lambda _error: None)
+            await sleep(LEASE)
+            kept = [one.stamp for one in (await given_up_goals(a.broker, NAMES))["count"]]
+            assert kept == [*range(4, 12), 20]
+
+
+async def test_one_is_read_with_its_checkpoint_as_long_as_it_can_run_again() -> None:
+    async with MemoryBrokers() as shared, member(shared, "a"):
+        keep(shared, given_up())
+        keep(shared, goal(2))
+        history = FleetHistory(shared.member(), NAMES, "count")
+        found = await history.given_up(given_up().goal_id)
+        assert found is not None
+        assert found.checkpoint == b"half"
+        for number in (2, 3):
+            assert await history.given_up(goal(number).goal_id) is None
+        await history.rerun(given_up().goal_id)
+        assert await history.given_up(given_up().goal_id) is None
+        shared.put(NAMES.goal("count", goal(6).goal_id), b"of a later version", 0, 60)
+        with pytest.raises(StoreError, match="cannot be read"):
+            await history.given_up(goal(6).goal_id)
+
+
+# The history of a fleet as its clients read it: pages, goals, and the histories of gateways
+
+
+@pytest.fixture
+def fleet() -> FakeFleet:
+    return FakeFleet()
+
+
+def past(number: int = 7, goal_id: GoalID = GOAL_ID) -> StoredGoal:
+    """Return a goal of the past that was accepted as the number-th one."""
+    fields = ENDED | {"goal": THREE, "began_at": number, "meta": {"order": "17"}, "worker": "gone"}
+    return StoredGoal(goal_id, number, UNKNOWN_SENDER, digest_of(THREE), attempt=1, **fields)
+
+
+def note(fleet: FakeFleet, *goals: StoredGoal) -> None:
+    for one in goals:
+        fleet.broker.store(NAMES.past("count", one.goal_id, one.stamp), encode(one))
+
+
+def numbered(number: int) -> StoredGoal:
+    return past(number, GoalID(bytes([number]) * 16))
+
+
+async def test_a_goal_of_the_past_is_followed_as_if_it_were_remembered(fleet: FakeFleet) -> None:
+    note(fleet, past())
+    async with fleet.connect() as connection:
+        stream = await connection.endpoint(COUNT).feedback(GOAL_ID)
+        assert (stream.goal, stream.info) == (THREE, past().info)
+        assert (await stream.outcome()).result == COUNT.result.encode("3")
+        with pytest.raises(ServerNotFound):
+            await connection.endpoint(COUNT).feedback(GoalID(bytes([9]) * 16))
+
+
+async def test_a_goal_that_its_owner_has_forgotten_is_found_in_the_history(
+    fleet: FakeFleet,
+) -> None:
+    note(fleet, past())
+    async with fleet.worker("a").serve(server()) as a, fleet.connect() as connection:
+        a.own(GOAL_ID, **ENDED)
+        stream = await connection.endpoint(COUNT).feedback(GOAL_ID)
+        assert stream.info.labels == {"order": "17"}
+
+
+async def test_a_goal_that_has_ended_at_a_worker_is_told_as_its_record_says(
+    fleet: FakeFleet,
+) -> None:
+    async with fleet.worker("a").serve(server()), fleet.connect() as connection:
+        client = client_of(connection)
+        goal = await client.send_goal(3, labels={"order": "17"})
+        await goal.result()
+        [listed] = await client.goals()
+        stream = await connection.endpoint(COUNT).feedback(goal.goal_id)
+        assert stream.info == listed
+        assert listed.worker == "a"
+
+
+class _WithPast(ForwardingEndpoint):
+    """A gateway whose server has a history."""
+
+    def __init__(self, inner: Endpoint, *infos: GoalInfo) -> None:
+        super().__init__(inner)
+        self._infos = infos
+
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return [info for info in self._infos if page.has(info)]
+
+
+async def test_pages_have_the_goals_of_gateways_as_well(fleet: FakeFleet) -> None:
+    infos = [
+        GoalInfo(GoalID(bytes([number]) * 16), number, GoalStatus.ABORTED) for number in (3, 1)
+    ]
+    note(fleet, numbered(2), numbered(4))
+    gateway = fleet.worker("g", is_kept=False)
+    async with gateway.serve(_WithPast(server(), *infos)), fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        found = await endpoint.past_goals(PastPage())
+        oldest = await endpoint.past_goals(PastPage(limit=2, newest_first=False))
+        read: list[GoalInfo] = []
+        await endpoint.read_past(GoalQuery(since=2), read.extend)
+    assert sorted(info.stamp for info in read) == [2, 3, 4]
+    assert [info.stamp for info in found] == [4, 3, 2, 1]
+    assert [info.stamp for info in oldest] == [1, 2]
+
+
+async def test_a_history_that_cannot_be_read_is_a_lost_connection(
+    fleet: FakeFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FakeWorker(fleet.broker, "gone").own(GOAL_ID)
+    async with fleet.connect() as connection:
+        endpoint = connection.endpoint(COUNT)
+        await connection.workers()
+        fleet.broker.is_away = True
+        with pytest.raises(ConnectionLost, match="the history of the fleet cannot be read"):
+            await endpoint.past_goals(PastPage())
+        with pytest.raises(ConnectionLost, match=f"the record of goal {GOAL_ID} cannot be read"):
+            await endpoint.rerun(GOAL_ID)

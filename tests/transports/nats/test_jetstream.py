@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -10,11 +11,15 @@ import msgspec
 import pytest
 
 from fibaction import TransportError
+from fibaction._runtime.notify import Notifier
 from fibaction_transports.nats.broker.answers import PendingAnswers
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
+    BrokerSubscription,
     Message,
+    NoResponders,
+    OnMessage,
     PutFailure,
 )
 from fibaction_transports.nats.broker.client import NatsClient
@@ -29,12 +34,81 @@ from fibaction_transports.nats.broker.jetstream import (
     find_stream,
     outcome,
 )
+from fibaction_transports.nats.broker.login import BrokerInfo
 from fibaction_transports.nats.broker.nats_broker import NatsBroker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
-from tests.transports.nats.scripted_client import NO_RESPONDERS, ScriptedClient, failed
 
+pytestmark = pytest.mark.anyio
 NAMES = FleetNames("f")
+
+
+# Answers that a test gives
+
+NO_RESPONDERS = None
+"""The answer of nobody."""
+
+
+def failed(number: int, code: int = 400, text: str = "no") -> dict[str, Any]:
+    """An answer with an error of JetStream."""
+    return {"error": {"code": code, "err_code": number, "description": text}}
+
+
+class _Subscribed(BrokerSubscription):
+    def close(self) -> None:
+        """See `BrokerSubscription.close`."""
+
+
+class ScriptedClient:
+    """The part of `NatsClient` that JetStream needs; each answer is used once, but for the last."""
+
+    url = "nats://broker"
+    is_connected = True
+
+    def __init__(self, **answers: Any) -> None:
+        """Answer to each request whose subject has this part of the API in it (`_` for the dot)."""
+        self.answers = {name.replace("_", "."): list(found) for name, found in answers.items()}
+        self.asked: list[tuple[str, Any]] = []
+        """The requests, and the messages that were published."""
+        self.timeouts: list[float] = []
+        """The seconds of each request."""
+        self.info = BrokerInfo()
+        self.connections = 1
+        self.to_notify: set[Notifier] = set()
+        self.on_message: OnMessage = lambda _message: None
+        self.on_publish: Callable[[str], None] = lambda _subject: None
+
+    def new_inbox(self) -> str:
+        return "_INBOX.one"
+
+    async def subscribe(
+        self, subject: str, on_message: OnMessage, queue: str = ""
+    ) -> BrokerSubscription:
+        self.on_message = on_message
+        return _Subscribed()
+
+    def publish(self, subject: str, data: bytes, reply: str = "") -> None:
+        self.asked.append((subject, data))
+        self.on_publish(subject)
+
+    async def answer(self, subject: str, data: bytes, timeout: float) -> Message:
+        self.asked.append((subject, msgspec.json.decode(data) if data else None))
+        self.timeouts.append(timeout)
+        found = next(found for name, found in self.answers.items() if name in subject)
+        answer = found.pop(0) if len(found) > 1 else found[0]
+        if isinstance(answer, Exception):
+            raise answer
+        if answer is NO_RESPONDERS:
+            raise NoResponders(subject)
+        if isinstance(answer, Message):
+            return answer
+        return Message("", msgspec.json.encode(answer), "", {})
+
+    def bodies(self, name: str) -> list[Any]:
+        """The bodies of the requests of one part of the API."""
+        return [body for subject, body in self.asked if name in subject]
+
+
 MISSING = failed(STREAM_NOT_FOUND, 404)
 MADE = {"created": "2026-11-26T12:00:00.123456789Z", "ts": "2026-11-26T12:00:07.623456789Z"}
 
@@ -84,7 +158,6 @@ def watch() -> RecordWatch:
     return made
 
 
-@pytest.mark.asyncio
 async def test_a_number_that_is_left_out_breaks_the_consumer(watch: RecordWatch) -> None:
     watch._on_message(delivered(1, 1))
     assert not watch._is_complete
@@ -94,7 +167,6 @@ async def test_a_number_that_is_left_out_breaks_the_consumer(watch: RecordWatch)
     assert watch._records == [BrokerRecord("s", b"x", 7)]
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("last", "is_broken"),
     [({}, False), ({"Nats_Last_Consumer": "1"}, False), ({"Nats_Last_Consumer": "2"}, True)],
@@ -107,7 +179,6 @@ async def test_a_heartbeat_tells_of_records_that_did_not_come(
     assert watch._is_broken is is_broken
 
 
-@pytest.mark.asyncio
 async def test_heads_are_complete_though_the_last_records_were_removed_meanwhile() -> None:
     watch = RecordWatch(NatsClient(FleetSettings("f")), "stream", "s", since=0)
     watch._is_broken = False
@@ -123,7 +194,6 @@ async def test_heads_are_complete_though_the_last_records_were_removed_meanwhile
     assert not watch._is_broken
 
 
-@pytest.mark.asyncio
 async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
     watch._on_message(Message("inbox", b"", "", {"Status": "409"}))
     assert watch._is_broken
@@ -133,7 +203,6 @@ async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
 # Answers
 
 
-@pytest.mark.asyncio
 async def test_a_lost_connection_fails_what_was_sent_on_it_only() -> None:
     pending = PendingAnswers("inbox")
     told: list[object] = []
@@ -175,7 +244,6 @@ async def create(client: Any, replicas: int = 0, brokers: int = 1) -> None:
     await create_streams(client, NAMES, replicas, brokers)
 
 
-@pytest.mark.asyncio
 async def test_the_replicas_that_are_asked_for_are_given_to_streams_that_are_there() -> None:
     client = ScriptedClient(STREAM_INFO=made(), STREAM_UPDATE=[{}])
     await create(client, replicas=3)
@@ -185,7 +253,6 @@ async def test_the_replicas_that_are_asked_for_are_given_to_streams_that_are_the
     assert not client.bodies("STREAM.UPDATE")
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize("number", NO_ROOM_FOR_REPLICAS)
 async def test_a_cluster_without_room_for_three_replicas_keeps_one(
     number: int, no_pause: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
@@ -202,7 +269,6 @@ async def test_a_cluster_without_room_for_three_replicas_keeps_one(
     ]
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize("replicas", [0, 3])
 async def test_replicas_are_placed_when_brokers_that_began_have_heard_of_each_other(
     replicas: int, no_pause: None
@@ -216,7 +282,6 @@ async def test_replicas_are_placed_when_brokers_that_began_have_heard_of_each_ot
     assert [body["num_replicas"] for body in client.bodies("STREAM.CREATE")] == [3, 3, 3]
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize("number", [10047, *NO_ROOM_FOR_REPLICAS])
 async def test_of_a_small_storage_the_goals_take_less(number: int, no_pause: None) -> None:
     goals, *others = made()
@@ -234,7 +299,6 @@ async def test_of_a_small_storage_the_goals_take_less(number: int, no_pause: Non
     assert [one["max_bytes"] for one in client.bodies("STREAM.UPDATE")] == [2**27]
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize("is_made", [True, False])
 async def test_a_storage_without_any_room_is_one_sentence(is_made: bool) -> None:
     goals, *_ = made()
@@ -249,7 +313,6 @@ async def test_a_storage_without_any_room_is_one_sentence(is_made: bool) -> None
     assert client.bodies("STREAM.CREATE")[-1]["max_bytes"] == 2**18
 
 
-@pytest.mark.asyncio
 async def test_a_stream_of_goals_without_a_limit_is_named_in_the_log(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -261,7 +324,6 @@ async def test_a_stream_of_goals_without_a_limit_is_named_in_the_log(
     ]
 
 
-@pytest.mark.asyncio
 async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None) -> None:
     away = BrokerAway("no answer")
     client = ScriptedClient(STREAM_INFO=[NO_RESPONDERS, away, failed(NO_LEADER, 503), *made()])
@@ -269,14 +331,12 @@ async def test_an_election_is_waited_for_before_streams_are_made(no_pause: None)
     assert len(client.asked) == 6
 
 
-@pytest.mark.asyncio
 async def test_streams_that_nobody_makes_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
     with pytest.raises(TransportError, match="cannot be made: JetStream does not answer"):
         await create(ScriptedClient(STREAM_INFO=[NO_RESPONDERS]))
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     "answers",
     [{"STREAM_INFO": [failed(1)]}, {"STREAM_INFO": [MISSING], "STREAM_CREATE": [failed(1)]}],
@@ -286,7 +346,6 @@ async def test_streams_that_cannot_be_made_are_one_sentence(answers: dict[str, A
         await create(ScriptedClient(**answers))
 
 
-@pytest.mark.asyncio
 async def test_a_stream_that_another_worker_makes_first_is_used() -> None:
     first, *others = made()
     client = ScriptedClient(
@@ -305,20 +364,17 @@ async def got(brokers: int = 1, **answers: Any) -> BrokerRecord | None:
     return await broker.get(NAMES.workers, NAMES.worker("w"))
 
 
-@pytest.mark.asyncio
 async def test_a_record_of_a_stream_that_is_missing_is_missing() -> None:
     assert await got(DIRECT_GET=[NO_RESPONDERS], STREAM_MSG_GET=[MISSING]) is None
     assert await got(3, STREAM_MSG_GET=[MISSING]) is None
 
 
-@pytest.mark.asyncio
 async def test_a_record_of_a_stream_that_was_just_made_is_asked_of_its_leader() -> None:
     found = {"message": {"data": "YQ==", "seq": 7}}
     record = await got(DIRECT_GET=[NO_RESPONDERS], STREAM_MSG_GET=[found])
     assert record == BrokerRecord(NAMES.worker("w"), b"a", 7)
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("brokers", "answers"),
     [
@@ -336,7 +392,6 @@ async def test_a_stream_that_does_not_answer_is_told_from_a_missing_record(
         await got(brokers, **answers)
 
 
-@pytest.mark.asyncio
 async def test_a_watch_begins_when_the_brokers_answer_again(no_pause: None) -> None:
     consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
     answers = [NO_RESPONDERS, BrokerAway("no answer"), failed(NO_LEADER, 503), consumer]
@@ -346,7 +401,6 @@ async def test_a_watch_begins_when_the_brokers_answer_again(no_pause: None) -> N
     assert len([name for name, _ in client.asked if "CREATE" in name]) == len(answers)
 
 
-@pytest.mark.asyncio
 async def test_a_consumer_that_was_not_answered_in_time_is_removed(no_pause: None) -> None:
     consumer = {"num_pending": 0, "delivered": {"consumer_seq": 0}}
     client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer"), consumer])
@@ -356,7 +410,6 @@ async def test_a_consumer_that_was_not_answered_in_time_is_removed(no_pause: Non
     assert removed == "$JS.API.CONSUMER.DELETE.stream.one"
 
 
-@pytest.mark.asyncio
 async def test_a_watch_waits_for_the_connection() -> None:
     client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
     client.is_connected = False
@@ -371,7 +424,6 @@ async def test_a_watch_waits_for_the_connection() -> None:
     assert client.asked
 
 
-@pytest.mark.asyncio
 async def test_flow_control_holds_the_broker_back_until_the_reader_comes() -> None:
     client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
     watch = RecordWatch(client, "stream", "s")
@@ -415,7 +467,6 @@ def answering(client: Any, *answers: Message | None) -> None:
     client.on_publish = on_publish
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize(
     ("answer", "consumers"),
     [
@@ -435,7 +486,6 @@ async def test_a_consumer_that_is_gone_is_made_again(
     await notes.aclose()
 
 
-@pytest.mark.asyncio
 async def test_brokers_without_a_leader_are_soon_asked_again_for_notes(no_pause: None) -> None:
     client: Any = ScriptedClient(CONSUMER_CREATE=[BrokerAway("no answer")] * 4 + [{}])
     answering(client, note(b"one"))
@@ -445,7 +495,6 @@ async def test_brokers_without_a_leader_are_soon_asked_again_for_notes(no_pause:
     await notes.aclose()
 
 
-@pytest.mark.asyncio
 async def test_a_note_that_nobody_has_taken_is_given_back(client: Any) -> None:
     notes = NoteQueue(client, NAMES.want("a")).notes()
 
@@ -460,7 +509,6 @@ async def test_a_note_that_nobody_has_taken_is_given_back(client: Any) -> None:
     assert client.asked[-2:] == [("ack.one", b"+ACK"), ("ack.late", b"-NAK")]
 
 
-@pytest.mark.asyncio
 async def test_notes_wait_for_the_connection(client: Any) -> None:
     client.is_connected = False
     with anyio.move_on_after(0):
@@ -481,7 +529,6 @@ async def test_notes_wait_for_the_connection(client: Any) -> None:
 # Streams that are looked for
 
 
-@pytest.mark.asyncio
 @pytest.mark.parametrize("answer", [failed(NO_LEADER, 503), NO_RESPONDERS])
 async def test_a_stream_that_does_not_answer_is_not_missing(answer: Any) -> None:
     client: Any = ScriptedClient(STREAM_INFO=[answer])

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+import anyio
 import pytest
 from anyio import current_time, sleep
 
 from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
-from fibaction_transports.nats.broker.broker import BrokerAway
+from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, PutError
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.worker.lease import MemberPart, Membership, Term
@@ -347,3 +348,119 @@ async def test_a_lease_that_has_ended_when_its_answer_comes_is_stored_again(
         assert puts(shared) == 2
         assert current_time() < member.valid_until
         assert not member.fences
+
+
+# The lease of a worker whose event loop is blocked
+
+
+async def blocked(shared: MemoryBrokers, name: str = "robot") -> Membership:
+    """Return a membership whose event loop does nothing for it."""
+    member = Membership(shared.member(), NAMES, name, LEASE)
+    await member.join()
+    return member
+
+
+async def help_for(seconds: float, member: Membership, broker: MemoryBroker) -> int:
+    """Do what the thread does; return how often it has renewed the lease."""
+    count, end = 0, current_time() + seconds
+    while current_time() < end:
+        await sleep(LEASE / 16)
+        if member.is_blocked(current_time()):
+            await member.renew_blocked(broker)
+            count += 1
+    return count
+
+
+async def test_a_lease_is_kept_while_the_event_loop_is_blocked_and_after_it() -> None:
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        first = member.incarnation
+        assert 9 < await help_for(5 * LEASE, member, shared.member()) < 16
+        assert member.check()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(member.run)
+            tasks.start_soon(member.fence_in_time)
+            assert await help_for(5 * LEASE, member, shared.member()) == 0, "it runs again"
+            tasks.cancel_scope.cancel()
+        assert member.incarnation == first
+
+
+async def test_a_lease_is_kept_after_a_renewal_whose_answer_the_event_loop_has_not_read() -> None:
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        entry = LeaseEntry("robot", member.incarnation, lease=LEASE)
+        shared.put(NAMES.worker("robot"), encode(entry), 1, LEASE)
+        assert await help_for(2 * LEASE, member, shared.member())
+        assert member.check()
+
+
+class _Overtaken(MemoryBroker):
+    """The connection of a thread whose event loop runs again before its first write arrives."""
+
+    act: Callable[[], Awaitable[object]] | None = None
+
+    async def put_and_wait(self, *args: Any, **options: Any) -> int | PutError:
+        if self.act is not None:
+            act, self.act = self.act, None
+            await act()
+        return await super().put_and_wait(*args, **options)
+
+
+async def overtaken_by(act: Callable[[Membership], Awaitable[object]]) -> BrokerRecord:
+    """Return the lease after a thread's renewal that the event loop has overtaken."""
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        broker = _Overtaken(shared, "thread")
+        broker.act = lambda: act(member)
+        await member.renew_blocked(broker)
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        return record
+
+
+class _Room(MemberPart):
+    def describe(self, entry: LeaseEntry) -> None:
+        entry.has_room = True
+
+
+async def test_a_thread_writes_no_older_lease_over_one_that_the_event_loop_has_stored() -> None:
+    async def make_room(member: Membership) -> None:
+        member.add(_Room())
+        assert await member._renewed(member.incarnation)
+
+    async def leave(member: Membership) -> None:
+        member.incarnation, again = b"", member.incarnation
+        await member._put(LeaseEntry("robot", again), member._sequence)
+
+    async def fenced(member: Membership) -> None:
+        member.incarnation = b""
+
+    assert lease_entry((await overtaken_by(make_room)).data).has_room
+    assert (await overtaken_by(fenced)).sequence == 2  # its lease is not longer for that
+    assert (await overtaken_by(leave)).sequence == 2  # and nothing is written after it
+
+
+async def test_a_lease_that_has_ended_is_not_renewed_and_the_reason_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        shared.put(NAMES.worker("robot"), b"", 1, LEASE)  # it was cleared up after
+        await help_for(2 * LEASE, member, shared.member())
+        record = shared.newest(NAMES.worker("robot"))
+        assert record is not None
+        assert record.data == b""
+        assert not member.check()
+        assert "its event loop has not run for 12.0 s" in caplog.text
+
+
+async def test_a_worker_that_does_not_reach_the_brokers_is_not_helped() -> None:
+    async with MemoryBrokers() as shared:
+        member = await blocked(shared)
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(member.run)
+            tasks.start_soon(member.fence_in_time)
+            member._broker.is_away = True  # type: ignore[attr-defined]  # in memory
+            assert await help_for(2 * LEASE, member, shared.member()) == 0
+            tasks.cancel_scope.cancel()
+        assert not member.incarnation

@@ -1,16 +1,36 @@
-"""The login at a broker, without a broker."""
+"""Connecting to one broker: TLS, the ways to log in, and what is no broker."""
 
 from __future__ import annotations
 
+import json
+import logging
+import ssl
+import sys
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import anyio
 import msgspec
 import pytest
+from anyio.abc import SocketAttribute, SocketStream
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from fibaction import AuthenticationFailed, LimitReached, TransportError
+from fibaction import AuthenticationFailed, LimitReached, ServerNotFound, TransportError
+from fibaction.border.event_loop import asyncio_loop
+from fibaction.wire.tls_files import TlsFiles
+from fibaction_transports.nats.broker.broker import (
+    BrokerAway,
+    Message,
+    NoResponders,
+    PutError,
+    PutFailure,
+)
+from fibaction_transports.nats.broker.broker_socket import LONGEST_LINE
+from fibaction_transports.nats.broker.dial import Dialer, LoginLines
 from fibaction_transports.nats.broker.login import (
     BrokerInfo,
     NatsCredentials,
@@ -18,8 +38,261 @@ from fibaction_transports.nats.broker.login import (
     info_of,
     is_let_in,
 )
+from fibaction_transports.nats.broker.nats_broker import open_broker
+from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
-from tests.support.nats_keys import bytes_of
+from tests.support.certificates import pems
+from tests.support.nats_keys import USER, Key, Operator, bytes_of
+from tests.support.nats_server import NatsServer, nats_server, needs_nats
+from tests.transports.hearing import Hearing
+from tests.transports.nats.test_broker_rules import put
+
+pytestmark = pytest.mark.anyio
+
+INFO = {"version": "2.15.0", "headers": True}
+
+
+async def check_use(settings: FleetSettings) -> None:
+    """Connect, and use JetStream."""
+    async with open_broker(settings) as broker:
+        await broker.create_streams(FleetNames("fleet"))
+
+
+@asynccontextmanager
+async def saying(*lines: bytes, **info: Any) -> AsyncGenerator[str, None]:
+    """Something that says INFO and these lines, and then closes when the client has answered."""
+
+    async def handle(stream: SocketStream) -> None:
+        async with stream:
+            await stream.send(b"INFO %s\r\n" % json.dumps({**INFO, **info}).encode())
+            await stream.send(b"".join(lines))
+            await stream.receive()
+
+    async with listening(handle) as address:
+        yield address
+
+
+def dialer_to(address: str, **settings: Any) -> Dialer:
+    dialer = Dialer(settings_for(address, **settings), lambda *_: None, lambda: None)
+    dialer.read_files()
+    return dialer
+
+
+async def not_found(address: str) -> str:
+    error = await error_of(settings_for(address))
+    assert isinstance(error, ServerNotFound)
+    return str(error)
+
+
+# Keys
+
+
+@needs_nats
+async def test_a_user_with_a_key_is_let_in(tmp_path: Path) -> None:
+    user = Key(USER)
+    path = tmp_path / "user.nk"
+    path.write_text(f"{user.seed}\n")
+    config = f"jetstream: {{}}\nauthorization: {{users: [{{nkey: {user.public}}}]}}"
+    with nats_server(config) as server:
+        await check_use(settings_for(server.address, creds=str(path)))
+        path.write_text(Key(USER).seed)
+        error = await error_of(settings_for(server.address, creds=str(path)))
+    assert isinstance(error, AuthenticationFailed)
+    assert str(error) == (
+        f"the broker {server.address} rejects the login: give user:password@ or token@ in front of"
+        " the host, or creds="
+    )
+
+
+@needs_nats
+async def test_a_credentials_file_is_read_for_each_connection(tmp_path: Path, log: Hearing) -> None:
+    path = tmp_path / "my.creds"
+    operator = Operator()
+    operator.write_credentials(path)
+    with nats_server(f"jetstream: {{}}\n{operator.config}") as server:
+        async with open_broker(settings_for(server.address, creds=str(path))) as broker:
+            server.kill()
+            path.unlink()
+            server.start()
+            await log.until(f"the credentials file {path} cannot be read")
+            operator.write_credentials(path)
+            await log.until("is back")
+            await broker.flush()
+
+
+async def test_a_nonce_does_not_keep_a_client_without_keys_out() -> None:
+    async with saying(b"+OK\r\nPONG\r\n", nonce="n") as address:
+        await (await dialer_to(address).dial(address)).cut()
+
+
+@needs_nats
+async def test_a_login_is_in_no_log(log: Hearing, tmp_path: Path) -> None:
+    path, user = tmp_path / "user.nk", Key(USER)
+    path.write_text(user.seed)
+    config = "jetstream: {}\nauthorization: {user: me, password: right}"
+    logging.getLogger("fibaction.nats").setLevel(logging.DEBUG)
+    with nats_server(config) as server:
+        login = {"user": "me", "password": "5ecret", "login_token": "t0ken", "creds": str(path)}
+        error = await error_of(settings_for(server.address, **login))
+    said = f"{error} {error.__cause__} {[record.getMessage() for record in log.records]}"
+    assert not any(secret in said for secret in ("5ecret", "t0ken", user.seed))
+
+
+# TLS
+
+
+def tls_config(files: Any, more: str = "") -> str:
+    paths = f'cert_file: "{files.cert}", key_file: "{files.cert}", ca_file: "{files.ca}"'
+    return f"jetstream: {{}}\ntls: {{{paths} {more}}}"
+
+
+@needs_nats
+async def test_a_broker_may_want_tls_before_its_first_line(log: Hearing) -> None:
+    files = pems()
+    with nats_server(tls_config(files, ", handshake_first: true")) as server:
+        settings = settings_for(server.address, tls=TlsFiles(ca=files.ca))
+        async with open_broker(settings) as broker:
+            await broker.create_streams(FleetNames("fleet"))
+            server.kill()
+            await log.until("is lost")
+            server.start()
+            await log.until("is back")
+
+
+@needs_nats
+async def test_a_broker_may_ask_for_a_certificate() -> None:
+    files = pems()
+    with nats_server(tls_config(files, ", verify: true")) as server:
+        await check_use(settings_for(server.address, tls=TlsFiles(ca=files.ca, cert=files.cert)))
+        error = await error_of(settings_for(server.address, tls=TlsFiles(ca=files.ca)))
+    assert isinstance(error, AuthenticationFailed)
+    assert str(error) == (
+        f"no TLS with the broker {server.address}: it asks its clients for a certificate: give"
+        " cert=, and key="
+    )
+
+
+@needs_nats
+async def test_other_brokers_of_a_cluster_have_the_name_of_the_first_one() -> None:
+    files = pems("localhost")
+    with nats_server(tls_config(files)) as one, nats_server(tls_config(files)) as other:
+        first = f"localhost:{one.port}"
+        dialer = dialer_to(first, tls=TlsFiles(ca=files.ca))
+        with pytest.raises(AuthenticationFailed, match="no TLS with the broker 127"):
+            await dialer.dial(other.address)
+        await (await dialer.dial(first)).cut()
+        await (await dialer.dial(other.address)).cut()
+        await (await dialer.dial(f"localhost:{other.port}")).cut()
+
+
+async def test_what_is_said_between_the_first_line_and_tls_is_not_believed() -> None:
+    async with saying(b"PONG\r\n", tls_required=True) as address:
+        assert "no broker of NATS answers" in await not_found(address)
+
+
+async def test_a_connection_that_is_lost_when_tls_is_made_is_not_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def start_tls(transport: Any, *_: Any, **__: Any) -> None:
+        transport.abort()
+
+    monkeypatch.setattr(asyncio_loop(), "start_tls", start_tls, raising=False)
+    async with saying(tls_required=True) as address:
+        assert "no broker of NATS answers" in await not_found(address)
+
+
+async def test_a_handshake_that_is_never_answered_is_given_up() -> None:
+    async def handle(stream: SocketStream) -> None:
+        async with stream:
+            await stream.send(b'INFO {"tls_required": true}\r\n')
+            await anyio.sleep_forever()
+
+    async with listening(handle) as address:
+        with anyio.fail_after(30):
+            error = await error_of(settings_for(address, tls=ssl.create_default_context()))
+    assert str(error) == f"the broker {address} did not answer in 2 s"
+
+
+@needs_nats
+@pytest.mark.parametrize("more", ["", ", handshake_first: true"])
+async def test_tls_begins_on_uvloop_as_well(more: str) -> None:
+    pytest.importorskip("uvloop")
+    files = pems()
+    with nats_server(tls_config(files, more)) as server:
+        settings = settings_for(server.address, tls=TlsFiles(ca=files.ca))
+        run = partial(anyio.run, check_use, settings, backend_options={"use_uvloop": True})
+        await anyio.to_thread.run_sync(run)
+
+
+# What is no broker, or has no room
+
+
+async def test_a_broker_that_closes_after_the_login_is_not_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    received = LoginLines.data_received
+
+    def lose(lines: LoginLines, data: bytes) -> None:
+        received(lines, data)
+        if b"PONG" in data:
+            lines.transport.abort()
+
+    monkeypatch.setattr(LoginLines, "data_received", lose)
+    async with saying(b"PONG\r\n") as address:
+        assert await not_found(address) == f"the broker {address} has closed the connection"
+
+
+@pytest.mark.parametrize("line", [b"220 mail ready\r\n", bytes(LONGEST_LINE + 1), b""])
+async def test_another_protocol_after_the_first_line_is_not_found(line: bytes) -> None:
+    async with saying(line) as address:
+        assert "no broker of NATS answers" in await not_found(address)
+
+
+@pytest.mark.parametrize("name", [f"{'x' * 64}.org", "a..b"])
+async def test_a_name_that_no_host_can_have_is_not_found(name: str) -> None:
+    text = await not_found(f"{name}:4222")
+    assert text == f"no broker at {name}:4222: it is not the name of a host"
+
+
+async def test_an_address_that_a_broker_tells_may_be_anything() -> None:
+    dialer = dialer_to("a:1")
+    for server in ("", "a:b", "127.0.0.1:99999", "[::1", "a\0b:1", "127.0.0.1"):
+        with pytest.raises(ServerNotFound):
+            await dialer.dial(server)
+
+
+async def test_a_login_that_is_canceled_closes_its_connection() -> None:
+    closed = anyio.Event()
+
+    async def handle(stream: SocketStream) -> None:
+        async with stream:
+            with pytest.raises((anyio.BrokenResourceError, anyio.EndOfStream)):
+                await stream.receive()
+        closed.set()
+
+    async with listening(handle) as address:
+        dialer = dialer_to(address)
+        with anyio.move_on_after(0.2):
+            await dialer.dial(address)
+        with anyio.fail_after(30):
+            await closed.wait()
+
+
+async def test_a_message_that_is_too_large_is_not_sent_and_the_next_one_is(
+    shared_broker: NatsServer, fleet: str
+) -> None:
+    async with open_broker(FleetSettings("fleet", (shared_broker.address,))) as broker:
+        heard: list[Message] = []
+        await broker.subscribe(f"fib.{fleet}.x", heard.append)
+        broker.publish(f"fib.{fleet}.x", bytes(2**20 + 1))
+        broker.publish(f"fib.{fleet}.x", bytes(2**20))
+        with anyio.fail_after(30):
+            await broker.flush()
+        assert [len(message.data) for message in heard] == [2**20]
+
+
+# The login at a broker, without a broker
+
 
 # As the documentation of NATS has them.
 SEED = "SUACSSL3UAHUDXKFSNVUZRF5UHPMWZ6BFDTJ7M6USDXIEDNPPQYYYCU3VY"
@@ -115,3 +388,236 @@ def test_a_file_without_the_key_of_a_user_is_one_sentence(tmp_path: Path, text: 
 
 def test_a_key_is_not_used_at_a_broker_without_a_nonce() -> None:
     assert set(fields_of(FleetSettings("f"), NatsCredentials(SEED, ""))) == {"no_responders"}
+
+
+# Brokers that cannot be used, and those that fail while they are used
+
+
+Answer = Callable[[str, bytes], Any]
+
+
+async def error_of(settings: FleetSettings) -> TransportError:
+    with anyio.fail_after(10), pytest.raises(TransportError) as caught:
+        async with open_broker(settings):
+            pass
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def settings_for(address: str, **settings: Any) -> FleetSettings:
+    return FleetSettings("fleet", (address,), **settings)
+
+
+# Brokers that only look like one
+
+
+@asynccontextmanager
+async def listening(
+    handle: Callable[[SocketStream], Awaitable[None]],
+) -> AsyncGenerator[str, None]:
+    listener = await anyio.create_tcp_listener(local_host="127.0.0.1", local_port=0)
+    async with listener, anyio.create_task_group() as tasks:
+        tasks.start_soon(listener.serve, handle)
+        yield f"127.0.0.1:{listener.extra(SocketAttribute.local_port)}"
+        tasks.cancel_scope.cancel()
+
+
+@asynccontextmanager
+async def fake(version: str = "2.15.0", **answers: Any) -> AsyncGenerator[str, None]:
+    """A broker that answers to requests of JetStream with these; None is an answer of nobody."""
+
+    async def handle(stream: SocketStream) -> None:
+        info = {"version": version, "max_payload": 2**20, "headers": True, "proto": 1}
+        cluster = {"cluster": "c"} if "cluster" in answers else {}
+        text = json.dumps({**info, **cluster})
+        async with stream:
+            await stream.send(f"INFO {text}\r\n".encode())
+            rest = b""
+            while True:
+                try:
+                    rest += await stream.receive()
+                except (anyio.EndOfStream, anyio.BrokenResourceError):
+                    return
+                *lines, rest = rest.split(b"\r\n")
+                for line in lines:
+                    if line == b"PING":
+                        await stream.send(b"PONG\r\n")
+                    elif line.startswith((b"PUB _INBOX", b"PUB $JS.API")):
+                        _, subject, *reply = line.decode().split(" ")
+                        await stream.send(_message(subject, reply[0], answers))
+
+    async with listening(handle) as address:
+        yield address
+
+
+def _message(subject: str, reply: str, answers: dict[str, Any]) -> bytes:
+    if subject.startswith("_INBOX"):
+        return f"MSG {subject} 1 0\r\n\r\n".encode()
+    answer = answers.get(subject.split(".")[2], {})
+    if callable(answer):
+        answer = answer()
+    if answer is None:
+        head = "NATS/1.0 503\r\n\r\n"
+        return f"HMSG {reply} 1 {len(head)} {len(head)}\r\n{head}\r\n".encode()
+    text = answer if isinstance(answer, str) else json.dumps(answer)
+    return f"MSG {reply} 1 {len(text)}\r\n{text}\r\n".encode()
+
+
+@pytest.mark.parametrize("version", ["2.9.10", "2.10.29", "", "new"])
+async def test_a_version_that_ignores_leases_is_one_sentence(version: str) -> None:
+    async with fake(version) as address:
+        error = await error_of(settings_for(address))
+    assert str(error) == (
+        f"the broker at nats://{address} is nats-server {version or 'of no known version'}, and a"
+        " fleet needs 2.11 or later: in older ones the lease of a lost worker does not end"
+    )
+
+
+@pytest.mark.parametrize(
+    ("info", "text"),
+    [
+        ({"api": {"level": 0}}, "is older than 2.11: update all brokers"),
+        ({"error": {"code": 503, "err_code": 10039, "description": "no"}}, "cannot be used: no"),
+        ("no JSON", "does not answer"),
+        (None, "is not enabled: start nats-server with -js"),
+    ],
+)
+async def test_an_account_that_cannot_be_used_is_one_sentence(info: Any, text: str) -> None:
+    async with fake(INFO=info) as address:
+        assert text in str(await error_of(settings_for(address)))
+
+
+async def test_an_election_is_waited_for_and_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [None, {"error": {"code": 503, "err_code": 10008}}, {"api": {"level": 1}}]
+    async with fake(INFO=lambda: answers.pop(0), cluster=1) as address:
+        async with open_broker(settings_for(address)) as broker:
+            assert broker.brokers == 2
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.3)
+    async with fake(INFO=None, cluster=1) as address:
+        assert "is not enabled" in str(await error_of(settings_for(address)))
+
+
+async def test_something_that_is_no_broker_is_not_found() -> None:
+    async def web(stream: SocketStream) -> None:
+        await stream.send(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+        await stream.aclose()
+
+    async with listening(web) as address:
+        error = await error_of(settings_for(address))
+    assert isinstance(error, ServerNotFound)
+    assert str(error) == (
+        f"no broker of NATS answers at {address}: start one, for example with 'fibaction broker'"
+    )
+
+
+async def test_a_host_that_does_not_exist_is_not_found() -> None:
+    error = await error_of(settings_for("no-such-host.invalid:4222"))
+    assert isinstance(error, ServerNotFound)
+    assert "no broker at no-such-host.invalid:4222: " in str(error)
+
+
+# Real ones
+
+
+@pytest.mark.parametrize(
+    ("config", "right", "wrong"),
+    [
+        ("{user: me, password: secret}", {"user": "me", "password": "secret"}, {}),
+        ("{user: me, password: secret}", {"user": "me", "password": "secret"}, {"user": "me"}),
+        ("{token: secret}", {"login_token": "secret"}, {"login_token": "other"}),
+    ],
+)
+async def test_a_login_that_is_rejected_is_one_sentence(
+    config: str, right: dict[str, str], wrong: dict[str, str]
+) -> None:
+    with nats_server(f"jetstream: {{}}\nauthorization: {config}") as server:
+        error = await error_of(settings_for(server.address, **wrong))
+        assert isinstance(error, AuthenticationFailed)
+        assert f"the broker {server.address} rejects the login: give user:password@" in str(error)
+        async with open_broker(settings_for(server.address, **right)) as broker:
+            await broker.create_streams(FleetNames("fleet"))
+
+
+async def test_a_credentials_file_that_cannot_be_used_is_one_sentence(
+    shared_broker: NatsServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "my.creds"
+    error = await error_of(settings_for(shared_broker.address, creds=str(path)))
+    assert str(error) == f"the credentials file {path} cannot be read: No such file or directory"
+    path.write_text("SU" + "A" * 56)
+    error = await error_of(settings_for(shared_broker.address, creds=str(path)))
+    assert str(error) == (
+        f"{path} is not a credentials file: it has no secret key of a user of NATS"
+    )
+    path.write_text(Key(USER).seed)
+    monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.asymmetric", None)
+    error = await error_of(settings_for(shared_broker.address, creds=str(path)))
+    needs = "a credentials file of NATS needs cryptography: pip install 'fibaction[nats]'"
+    assert str(error) == needs
+
+
+async def test_tls_to_the_brokers_is_checked_by_both() -> None:
+    files = pems()
+    config = f'jetstream: {{}}\ntls: {{cert_file: "{files.cert}", key_file: "{files.cert}"}}'
+    with nats_server(config) as server:
+        for context in (TlsFiles(ca=files.ca), ssl.create_default_context(cafile=files.ca)):
+            async with open_broker(settings_for(server.address, tls=context)) as broker:
+                await broker.create_streams(FleetNames("fleet"))
+        for settings in (
+            settings_for(server.address),
+            settings_for(server.address, tls=TlsFiles()),
+        ):
+            error = await error_of(settings)
+            assert isinstance(error, AuthenticationFailed)
+            assert f"no TLS with the broker {server.address}: " in str(error)
+
+
+@pytest.mark.parametrize("login", [{}, {"user": "me", "password": "secret"}])
+async def test_a_broker_without_tls_gets_no_login(
+    shared_broker: NatsServer, login: dict[str, str]
+) -> None:
+    settings = settings_for(shared_broker.address, tls=TlsFiles(), **login)
+    error = await error_of(settings)
+    assert isinstance(error, AuthenticationFailed)
+    assert "the broker has no TLS" in str(error)
+
+
+# While they are used
+
+
+async def test_another_broker_of_the_url_is_tried(shared_broker: NatsServer) -> None:
+    settings = FleetSettings("fleet", ("127.0.0.1:1", shared_broker.address))
+    async with open_broker(settings) as broker:
+        assert broker.is_connected
+
+
+async def test_a_frozen_broker_answers_nothing_and_is_left_in_time(
+    own_broker: NatsServer, log: Hearing
+) -> None:
+    names = FleetNames("fleet")
+    async with open_broker(settings_for(own_broker.address)) as broker:
+        await broker.create_streams(names)
+        own_broker.freeze()
+        outcome = await put(broker, names.worker("w"), b"x")
+        assert isinstance(outcome, PutError)
+        assert outcome.kind is PutFailure.UNKNOWN
+        with pytest.raises(BrokerAway):
+            await broker.request("fib.x", b"", 0.1)
+        with pytest.raises(BrokerAway):
+            await broker.subscribe("fib.x", lambda message: None)
+        with suppress(TimeoutError):
+            await log.until("is lost")
+        await log.until("is lost")
+        broker.publish("fib.x", bytes(2**20))
+        with pytest.raises(BrokerAway):
+            async with broker.watch(names.workers, names.worker()):
+                pass
+        own_broker.thaw()
+        await log.until("is back")
+        with anyio.fail_after(5), pytest.raises(NoResponders):
+            await broker.request("fib.x", b"", 5)
+        own_broker.freeze()
+        broker.publish("fib.x", bytes(2**16))
+        frozen = anyio.current_time()
+    assert anyio.current_time() - frozen < 3
+    own_broker.thaw()

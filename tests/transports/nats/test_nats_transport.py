@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
+import socket
 from typing import Any
 
 import anyio
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goals import GoalID
 from fibaction_transports.nats import NatsTransport
+from fibaction_transports.nats.names import (
+    FleetNames,
+    action_of,
+    last_token,
+    name_of,
+    stream_of_note,
+    token_of,
+)
+from fibaction_transports.nats.settings import FleetSettings
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.nats_server import NatsServer
 
@@ -170,3 +184,88 @@ async def test_two_fleets_at_one_broker_do_not_see_each_other(
         async with connect(shared_broker.url(fleet + ".other"), FIBONACCI) as client:
             with pytest.raises(ServerNotFound):
                 await client.send_goal(Goal(1))
+
+
+# The settings of a fleet
+
+
+def test_the_url_has_no_logins_and_no_settings() -> None:
+    settings = FleetSettings(
+        "a b/ü",
+        ("one:4222", "[::1]:1"),
+        worker="w",
+        user="me",
+        password="secret",
+        login_token="secret",
+    )
+    assert settings.url == "nats://one:4222,[::1]:1/a%20b%2F%C3%BC"
+    assert repr(settings) == "<FleetSettings>"
+    assert FleetSettings("f", tls=TlsFiles()).url == "nats+tls://127.0.0.1:4222/f"
+
+
+@pytest.mark.parametrize(
+    ("settings", "error"),
+    [
+        ({"fleet": ""}, "the fleet has no name"),
+        ({"fleet": "x" * 101}, "the name of the fleet is too long"),
+        ({"worker": "." * 34}, "the name of the worker is too long"),
+        ({"lease": 1.9}, "lease must be between 2 and 3600 s, not 1.9"),
+        ({"lease": -1}, "lease must be between"),
+        ({"lease": math.nan}, "lease must be between"),
+        ({"lease": math.inf}, "lease must be between"),
+        ({"replicas": 2}, "replicas must be 1, 3 or 5, not 2"),
+    ],
+)
+def test_values_that_cannot_be_are_one_sentence(settings: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
+        FleetSettings(**{"fleet": "f", **settings})
+
+
+@pytest.mark.parametrize(("brokers", "lease"), [(1, 5), (2, 5), (3, 15), (5, 15)])
+def test_a_worker_gets_a_name_and_a_lease_that_fits_the_brokers(brokers: int, lease: float) -> None:
+    settings = FleetSettings("f").of_worker(brokers)
+    assert settings.lease == lease
+    assert settings.worker.startswith(socket.gethostname()[:40])
+    given = FleetSettings("f", worker="w", lease=12.0).of_worker(brokers)
+    assert (given.worker, given.lease) == ("w", 12)
+
+
+def test_a_lease_that_is_shorter_than_the_failover_is_rejected() -> None:
+    assert FleetSettings("f", lease=2.0).of_worker(1).lease == 2
+    with pytest.raises(TransportError, match="a lease of 11 s is too short for 3 brokers"):
+        FleetSettings("f", lease=11.0).of_worker(3)
+
+
+# Names as tokens of subjects
+
+
+ANY_NAME = st.text(st.characters())  # with surrogates, as in arguments that are not valid text
+TOKEN = re.compile(r"[A-Za-z0-9_=-]*")
+
+
+@given(ANY_NAME)
+def test_any_name_is_one_token_and_is_read_back(name: str) -> None:
+    token = token_of(name)
+    assert TOKEN.fullmatch(token)
+    assert name_of(token) == name
+
+
+@given(ANY_NAME, ANY_NAME)
+def test_two_names_are_two_tokens(one: str, other: str) -> None:
+    assert (token_of(one) == token_of(other)) == (one == other)
+
+
+@pytest.mark.parametrize("token", ["=", "=4", "=ZZ", "=FF", "ü"])
+def test_what_is_not_such_a_token_is_an_error(token: str) -> None:
+    with pytest.raises(ValueError):
+        name_of(token)
+
+
+@given(ANY_NAME.filter(bool), ANY_NAME.filter(bool))
+def test_what_subjects_name_can_be_read_from_them(fleet: str, action: str) -> None:
+    names, goal_id = FleetNames(fleet), GoalID.random()
+    subject = names.goal(action, goal_id)
+    assert action_of(subject) == action
+    assert last_token(subject) == str(goal_id)
+    assert last_token(names.worker(action)) == token_of(action)
+    assert {stream_of_note(names.want(action)), stream_of_note(names.left(action))} == {names.notes}
