@@ -242,26 +242,20 @@ class Nowhere(Connection):
 
 
 @pytest.mark.asyncio
-async def test_a_connection_need_not_know_its_peers() -> None:
-    assert await Nowhere().peers("fibonacci") == ActionPeers((), ())
-    assert await Nowhere().nodes() == set()
-
-
-@pytest.mark.asyncio
-async def test_a_connection_need_not_know_interface_files() -> None:
-    with pytest.raises(TransportError, match=r"connect to the robot itself, at dds:// or ros2://"):
-        await Nowhere().interface_texts(FIBONACCI.info)
-
-
-@pytest.mark.asyncio
-async def test_a_transport_need_not_be_a_fleet() -> None:
-    assert await Nowhere().workers() == []
-    assert Nowhere().release == ""
-    assert await Nowhere().given_up() == {}
+async def test_a_connection_and_a_transport_need_not_be_those_of_a_fleet_or_of_a_robot() -> None:
+    connection, transport = Nowhere(), InProcessTransport()
+    assert await connection.peers("fibonacci") == ActionPeers((), ())
+    assert await connection.nodes() == set()
+    assert await connection.workers() == []
+    assert connection.release == ""
+    assert await connection.given_up() == {}
     with pytest.raises(StoreError, match="only fleets keep such goals"):
-        await Nowhere().rerun("fibonacci", GoalID.random())
-    async with InProcessTransport().goal_store() as store:
+        await connection.rerun("fibonacci", GoalID.random())
+    with pytest.raises(TransportError, match=r"connect to the robot itself, at dds:// or ros2://"):
+        await connection.interface_texts(FIBONACCI.info)
+    async with transport.goal_store() as store:
         assert store is None
+    assert transport.served_as("fibonacci") == "fibonacci"
 
 
 @pytest.mark.asyncio
@@ -422,50 +416,40 @@ def test_a_stream_that_cannot_limit_the_time_does_not_make_the_executor_wait() -
     assert not stream.wanted
 
 
-@pytest.mark.asyncio
-async def test_an_endpoint_has_no_history_unless_it_says_so_and_a_wrapper_has_the_inner_one() -> (
-    None
-):
-    class Old(OneGoal):
-        async def past_goals(self, page: PastPage) -> list[GoalInfo]:
-            return [GoalInfo(KNOWN, page.limit, GoalStatus.SUCCEEDED)]
+class Rich(OneGoal):
+    """An endpoint with a history, levers, a log, and goals that can be run again."""
 
-    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
-    assert await inner.past_goals(PastPage()) == []
-    wrapper = ForwardingEndpoint(Old(inner.stream))
+    async def past_goals(self, page: PastPage) -> list[GoalInfo]:
+        return [GoalInfo(KNOWN, page.limit, GoalStatus.SUCCEEDED)]
+
+    async def change_intake(self, change: IntakeChange) -> Intake:
+        return Intake(change.mode)
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return goal_id
+
+    async def log_lines(self, goal_id: GoalID) -> list[abc.LogLine] | None:
+        return [abc.LogLine(1, "INFO", "arm", str(goal_id))]
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_has_what_it_says_only_and_a_wrapper_what_is_inside() -> None:
+    plain, wrapper = OneGoal(OneEnd()), ForwardingEndpoint(Rich(OneEnd()))
+    assert await plain.past_goals(PastPage()) == []
     assert [info.stamp for info in await wrapper.past_goals(PastPage(limit=5))] == [5]
     read: list[GoalInfo] = []
     await wrapper.read_past(GoalQuery(), read.extend)
     assert len(read) == 1
-
-
-@pytest.mark.asyncio
-async def test_an_endpoint_has_no_levers_unless_it_says_so_and_a_wrapper_has_the_inner_ones() -> (
-    None
-):
-    class Levers(OneGoal):
-        async def change_intake(self, change: IntakeChange) -> Intake:
-            return Intake(change.mode)
-
-    pause = IntakeChange(IntakeMode.HOLD)
-    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
     with pytest.raises(TransportError, match="cannot be paused or drained from here"):
-        await inner.change_intake(pause)
-    wrapper = ForwardingEndpoint(Levers(inner.stream))
-    assert await wrapper.change_intake(pause) == Intake(IntakeMode.HOLD)
+        await plain.change_intake(IntakeChange(IntakeMode.HOLD))
+    paused = await wrapper.change_intake(IntakeChange(IntakeMode.HOLD))
+    assert paused == Intake(IntakeMode.HOLD)
     assert await wrapper.intake() is FIXED_INTAKE
-
-
-@pytest.mark.asyncio
-async def test_an_endpoint_runs_no_goal_again_unless_it_says_so_as_a_wrapper_of_one() -> None:
-    class Again(OneGoal):
-        async def rerun(self, goal_id: GoalID) -> GoalID | None:
-            return goal_id
-
-    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
     with pytest.raises(TransportError, match="cannot be run again from here"):
-        await inner.rerun(KNOWN)
-    assert await ForwardingEndpoint(Again(inner.stream)).rerun(KNOWN) == KNOWN
+        await plain.rerun(KNOWN)
+    assert await wrapper.rerun(KNOWN) == KNOWN
+    assert await plain.log_lines(KNOWN) is None
+    assert [line.text for line in await wrapper.log_lines(KNOWN) or ()] == [str(KNOWN)]
 
 
 @pytest.mark.asyncio
@@ -477,20 +461,3 @@ async def test_a_wrapper_with_a_history_of_its_own_has_it_read_as_a_whole() -> N
     read: list[GoalInfo] = []
     await Past(OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))).read_past(GoalQuery(), read.extend)
     assert [info.stamp for info in read] == [7]
-
-
-def test_a_transport_serves_actions_under_their_own_names() -> None:
-    assert InProcessTransport().served_as("fibonacci") == "fibonacci"
-
-
-@pytest.mark.asyncio
-async def test_an_endpoint_has_no_log_lines_unless_it_says_so_as_a_wrapper_of_one() -> None:
-    line = abc.LogLine(1, "INFO", "arm", "grips")
-
-    class Logging(OneGoal):
-        async def log_lines(self, goal_id: GoalID) -> list[abc.LogLine] | None:
-            return [line]
-
-    inner = OneGoal(OneEnd(Outcome(GoalStatus.SUCCEEDED)))
-    assert await inner.log_lines(KNOWN) is None
-    assert await ForwardingEndpoint(Logging(inner.stream)).log_lines(KNOWN) == [line]

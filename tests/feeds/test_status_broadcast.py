@@ -49,40 +49,6 @@ class Goals:
         record.status = record.told_status = status
         record.changed = self.feed.publish(record.info)
 
-    def forget(self, number: int) -> None:
-        self.feed.publish(GoalInfo(self.records[number - 1].goal_id, 0, GoalStatus.UNKNOWN))
-
-
-async def told(stream: StatusStream, count: int | None = None) -> list[tuple[int, str]]:
-    """The goals and their statuses: the next ones, or all up to the end of the stream."""
-    seen: list[tuple[int, str]] = []
-    while len(seen) != count and (change := await stream.receive()) is not None:
-        seen.append((int.from_bytes(change.goal_id, "big"), change.status.name))
-    return seen
-
-
-@pytest.mark.asyncio
-async def test_a_goal_that_changes_before_it_is_read_from_the_list_is_never_told_backwards() -> (
-    None
-):
-    goals = Goals(known=3)
-    stream = goals.follow()
-    with anyio.fail_after(5):
-        assert await told(stream, 1) == [(1, "ACCEPTED")]
-        for number in (1, 2, 3):
-            goals.change(number)
-        assert await told(stream, 1) == [(2, "EXECUTING")]
-        goals.change(2, GoalStatus.SUCCEEDED)
-        goals.change(3, GoalStatus.SUCCEEDED)
-        goals.forget(3)
-        goals.feed.finish()
-        assert await told(stream) == [
-            (3, "SUCCEEDED"),
-            (1, "EXECUTING"),
-            (2, "SUCCEEDED"),
-            (3, "UNKNOWN"),
-        ]
-
 
 ORDER = [GoalStatus.ACCEPTED, GoalStatus.EXECUTING, GoalStatus.CANCELING, GoalStatus.CANCELED]
 
