@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 from contextlib import (
     AbstractAsyncContextManager,
     asynccontextmanager,
     redirect_stdout,
 )
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 from uuid import UUID
 
@@ -58,7 +59,7 @@ class Way(NamedTuple):
 
     url: str
     send: Callable[..., Awaitable[Told]]
-    """Sends a goal, with an ID if the door takes one, and waits for its end."""
+    """Sends a goal, with an ID if the door takes one, or none, and waits for its end."""
 
 
 Door: TypeAlias = Callable[[Endpoint], AbstractAsyncContextManager[Way]]
@@ -75,9 +76,9 @@ def by_client(new_address: Callable[[], str | Transport], scheme: str = "") -> D
             async with connect(url) as connection:
                 client: Any = connection.client(Action.untyped(server.info))
 
-                async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+                async def call(*goal: Any, goal_id: GoalID | None = None) -> Told:
                     try:
-                        sent = await client.send_goal(goal, goal_id=goal_id)
+                        sent = await client.send_goal(*goal, goal_id=goal_id)
                         return Told(await sent.result())
                     except GoalRejected as exc:
                         return Told(code=exc.code, reason=exc.reason)
@@ -100,7 +101,7 @@ def told_by(answer: Answer, result: Any) -> Told:
 async def rest(server: Endpoint) -> AsyncGenerator[Way, None]:
     async with serve(server, "http://127.0.0.1:0") as (url,):
 
-        async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+        async def call(goal: Any = None, goal_id: GoalID | None = None) -> Told:
             path = f"/actions/{server.info.name}/goals"
             method, path = ("PUT", f"{path}/{goal_id}") if goal_id else ("POST", path)
             answer = await fetch(url, method, f"{path}?wait=9", goal)
@@ -113,7 +114,7 @@ async def rest(server: Endpoint) -> AsyncGenerator[Way, None]:
 async def events(server: Endpoint) -> AsyncGenerator[Way, None]:
     async with serve(server, "http://127.0.0.1:0") as (url,):
 
-        async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+        async def call(goal: Any = None, goal_id: GoalID | None = None) -> Told:
             path = f"/actions/{server.info.name}/goals"
             method, path = ("PUT", f"{path}/{goal_id}") if goal_id else ("POST", path)
             answer = await fetch(url, method, path, goal, accept="text/event-stream")
@@ -126,8 +127,9 @@ async def events(server: Endpoint) -> AsyncGenerator[Way, None]:
 async def rosbridge(server: Endpoint) -> AsyncGenerator[Way, None]:
     async with serve(server, "http://127.0.0.1:0") as (url,), socket_client(url) as client:
 
-        async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+        async def call(goal: Any = None, goal_id: GoalID | None = None) -> Told:
             args = goal if isinstance(goal, dict) else {"data": goal}
+            args = {} if goal is None else args
             await client.say(
                 op="send_action_goal", action=server.info.name, args=args, id=str(goal_id or 1)
             )
@@ -141,8 +143,8 @@ async def rosbridge(server: Endpoint) -> AsyncGenerator[Way, None]:
 
 
 def tools_of(agent: Talk, name: str) -> Callable[..., Awaitable[Told]]:
-    async def call(goal: Any) -> Told:
-        answer = await agent.call(name, **(goal if isinstance(goal, dict) else {"goal": goal}))
+    async def call(goal: Any = MappingProxyType({})) -> Told:
+        answer = await agent.call(name, **(goal if isinstance(goal, Mapping) else {"goal": goal}))
         if not answer.is_error:
             return Told(answer.structured_content["result"])
         return Told(reason=text_of(answer), is_later="try again later" in text_of(answer))
@@ -173,8 +175,10 @@ async def a2a(server: Endpoint) -> AsyncGenerator[Way, None]:
     address = A2aHttpTransport(port=0, unasked=["*"], token=TOKEN)
     async with serve(server, address) as (url,), agent_talk.talking(url) as agent:
 
-        async def call(goal: Any, goal_id: GoalID | None = None) -> Told:
+        async def call(goal: Any = None, goal_id: GoalID | None = None) -> Told:
             made = agent_talk.message(goal, skill=server.info.name)
+            if goal is None:
+                made.parts[0].text = ""
             if goal_id:
                 made.message_id = str(UUID(bytes=bytes(goal_id)))
             try:
@@ -193,12 +197,12 @@ async def a2a(server: Endpoint) -> AsyncGenerator[Way, None]:
 async def command(server: Endpoint) -> AsyncGenerator[Way, None]:
     async with serve(server, "tcp://127.0.0.1:0") as (url,):
 
-        async def call(goal: Any) -> Told:
-            said = io.StringIO()
+        async def call(goal: Any = None) -> Told:
+            said, text = io.StringIO(), "" if goal is None else json.dumps(goal)
             options = SendOptions(as_json=True)
             try:
                 with redirect_stdout(said):
-                    await send(url, server.info.name, "", json.dumps(goal), options)
+                    await send(url, server.info.name, "", text, options)
             except Failure as exc:
                 return Told(reason=str(exc))
             event = json.loads(said.getvalue().splitlines()[-1])
