@@ -629,18 +629,6 @@ async def test_the_client_cancels_after_so_many_feedback_messages(
 
 
 @pytest.mark.asyncio
-async def test_the_client_prints_why_a_goal_was_aborted_and_what_there_was(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    aborted = GoalAborted("out of numbers", result=Result([0]))
-    with anyio.fail_after(30):
-        async with ScriptedServer(FIBONACCI, [aborted]) as server:
-            assert await fibonacci_client.run_goal(client_of(server), 10) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[2:] == ["aborted   out of numbers", "result    0"]
-
-
-@pytest.mark.asyncio
 async def test_a_cancel_that_comes_too_late_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     with anyio.fail_after(30):
         async with make_server(period=0) as server:

@@ -43,13 +43,6 @@ def test_an_unknown_name_is_one_sentence(config: Path, invoke: Invoke) -> None:
         address_of("x")
 
 
-def test_the_server_is_not_given_twice(config: Path, invoke: Invoke) -> None:
-    result = invoke("-c", "robot1", "-u", "tcp://b", "list")
-
-    assert result.exit_code == ExitCode.USAGE
-    assert "the server is given twice: by --connection and by --url" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("content", "text"),
     [

@@ -13,7 +13,7 @@ from fibaction import GoalID, ProtocolError, connect, serve
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
 from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs.attach import attach
-from tests.cli.conftest import Run, Start, detached, interrupt
+from tests.cli.conftest import Run, Start, detached
 from tests.cli.served import counter
 from tests.support.processes import ended, lines_until
 
@@ -42,17 +42,6 @@ def test_attach_to_a_goal_that_has_ended_gives_its_result(here: Run, url: str) -
     assert done.json[0]["goal_id"] == goal_id
     assert done.json[-1]["status"] == "SUCCEEDED"
     assert done.json[-1]["result"]["goal"]["object_name"] == "cup"
-
-
-def test_ctrl_c_leaves_the_goal_as_it_is(started: Start, here: Run, tcp: str) -> None:
-    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
-    process = started("attach", goal_id, "--json", url=tcp)
-    lines_until("feedback", process)
-    interrupt(process)
-    code, _, err = ended(process)
-
-    assert (code, err) == (ExitCode.INTERRUPTED, f"The goal {goal_id} was left as it is.\n")
-    assert f"{goal_id}  EXECUTING" in here("goals", "wait", url=tcp).out
 
 
 class GivenUp(ForwardingEndpoint):
@@ -104,38 +93,30 @@ async def test_a_checkpoint_that_cannot_be_read_is_one_sentence(checkpoint: byte
 
 
 @pytest.mark.asyncio
-@pytest.mark.parametrize("interrupted", [False, True])
-async def test_attach_here_too(interrupted: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    go_on = anyio.Event()
-    server = counter("one", [11, go_on, "done"])
-    url = "inproc://attach"
+async def test_ctrl_c_leaves_the_goal_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    server, url = counter("one", [11, anyio.Event()]), "inproc://attach"
     codes: list[int] = []
-
-    async def run() -> None:
-        codes.append(await attach(url, "01", None, full=False, as_json=True))
-
     followed = anyio.Event()
-    feedback = server.feedback
 
-    async def follow(*arguments: object, **settings: object) -> object:
+    async def follow(*arguments: object, **settings: object) -> GoalStream:
         stream = await feedback(*arguments, **settings)  # type: ignore[arg-type]  # as they came
         followed.set()
         return stream
 
-    server.feedback = follow  # type: ignore[assignment, method-assign]  # to know when
+    async def run() -> None:
+        codes.append(await attach(url, "01", None, full=False, as_json=True))
+
+    feedback, server.feedback = server.feedback, follow  # type: ignore[method-assign, assignment]  # to know when
     async with serve(server, url), connect(url, server.action) as client:
-        await client.send_goal(1, goal_id=ID)
+        goal = await client.send_goal(1, goal_id=ID)
         with anyio.fail_after(10):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(run)
                 await followed.wait()
-                if interrupted:
-                    signal.raise_signal(signal.SIGINT)
-                else:
-                    go_on.set()
-        go_on.set()
+                signal.raise_signal(signal.SIGINT)
+        assert goal.status.is_active
 
-    assert codes == [ExitCode.INTERRUPTED if interrupted else ExitCode.SUCCEEDED]
-    events = [json.loads(line)["event"] for line in capsys.readouterr().out.splitlines()]
-    assert events[0] == "accepted"
-    assert ("result" in events) is not interrupted
+    assert codes == [ExitCode.INTERRUPTED]
+    out, err = capsys.readouterr()
+    assert err == f"The goal {ID} was left as it is.\n"
+    assert json.loads(out.splitlines()[0])["event"] == "accepted"

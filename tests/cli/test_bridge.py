@@ -13,7 +13,7 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import Action, ActionInfo, ActionServer, GoalID, connect, serve
+from fibaction import Action, ActionInfo, ActionServer, connect, serve
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.cli.bridge.actions import BridgedActions
 from fibaction.cli.bridge.renames import Renames
@@ -21,7 +21,7 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import bridge
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.inprocess import InProcessTransport
-from tests.cli.conftest import Invoke, Run, Start, eventually
+from tests.cli.conftest import Run, Start, detached, eventually
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.processes import PATIENCE, ended, lines_until
 
@@ -96,57 +96,13 @@ def test_the_goals_go_on_when_a_bridge_is_stopped(
     near = f"unix://{tmp_path}/near"
     bridge = started("bridge", tcp, near, "wait")
     lines_until("bridging", bridge)
-    done = here("send_goal", "wait", "seconds: 0.5", "--detach", url=near)
+    goal_id = detached(here, near, "wait", "seconds: 0.5")
     bridge.send_signal(SIGTERM)
     assert ended(bridge).code == 0
-    status = started("bridge", tcp, near, "wait")
-    lines_until("bridging", status)
-
-    assert asked_for(near, "wait", done.out.strip()) == "SUCCEEDED"
-
-
-def asked_for(url: str, name: str, goal_id: str) -> str:
-    """How a goal ends."""
-
-    async def ask() -> str:
-        async with connect(url, Action.untyped(ActionInfo(name))) as client:
-            with anyio.fail_after(PATIENCE):
-                goal = await client.attach(GoalID(bytes.fromhex(goal_id)))
-                return (await goal.outcome()).status.name
-
-    return anyio.run(ask)
+    assert here("attach", goal_id, url=tcp).code == ExitCode.SUCCEEDED
 
 
 # bridge, in this process
-
-
-def test_a_bridge_that_leads_nowhere_is_one_sentence(invoke: Invoke, nobody: str) -> None:
-    result = invoke("bridge", nobody, nobody)
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == "Error: FROM_URL and TO_URL are the same: a bridge needs two\n"
-
-    result = invoke("bridge", f"a={nobody}", f"b={nobody}", "unix:///tmp/never", "count")
-    assert result.exit_code == ExitCode.USAGE
-    assert "are for a bridge with one FROM_URL" in result.stderr
-
-    result = invoke("bridge", f"a={nobody}", f"b={nobody}", "nats://127.0.0.1:1/robots?worker=a")
-    assert result.exit_code == ExitCode.USAGE
-    assert "so a bridge to it has one FROM_URL" in result.stderr
-
-    result = invoke("bridge", nobody, "unix:///tmp/never")
-    assert result.exit_code == ExitCode.UNREACHABLE
-    assert result.stderr.startswith(f"Error: no server listens at {nobody} ")
-    advice = "start the server, or name the actions to wait for\n"
-    assert result.stderr.endswith(advice)
-
-    result = invoke("bridge", "morse://", "unix:///tmp/never")
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr.startswith("Error: no transport for morse://")
-
-    for urls in ((nobody, "inproc://robot"), ("inproc://robot", nobody, "wait")):
-        result = invoke("bridge", *urls)
-        assert result.exit_code == ExitCode.USAGE
-        assert result.stderr.startswith("Error: inproc://robot is for clients in the process")
 
 
 @pytest.mark.asyncio
@@ -332,45 +288,6 @@ def test_actions_get_the_names_that_the_options_say(
     lines_until("bridging", bridge)
 
     assert sorted(here("list", url=near).lines) == expected
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (("--rename", "pick"), "a rename is like OLD=NEW, for example pick=grasp, unlike 'pick'"),
-        (("--rename", "pick=2x"), "a rename is like OLD=NEW"),
-        (("--rename", "=x"), "a rename is like OLD=NEW"),
-        (("--rename", "a=b", "--rename", "/a=c"), "the action /a is renamed twice"),
-        (("--into", "2x"), "a namespace is like /robot1"),
-        (("pick", "--rename", "a=b"), "the action /a is renamed, and is not among those to bridge"),
-        (
-            ("pick", "wait", "--rename", "pick=wait"),
-            "/pick and /wait cannot both be served as /wait: give one another name",
-        ),
-        (
-            ("a/pick", "b/pick", "--rename", "a/pick=x", "--rename", "b/pick=x"),
-            "/a/pick and /b/pick cannot both be served as /x",
-        ),
-    ],
-)
-def test_names_that_cannot_be_are_one_sentence(
-    options: tuple[str, ...], text: str, invoke: Invoke, nobody: str
-) -> None:
-    result = invoke("bridge", nobody, "unix:///tmp/never", *options)
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr.startswith(f"Error: {text}")
-    assert result.stderr.count("\n") == 1
-
-
-def test_a_rename_of_what_is_not_served_names_the_nearest(invoke: Invoke, tcp: str) -> None:
-    result = invoke("bridge", tcp, "unix:///tmp/never", "--rename", "fibonaci=x")
-    assert result.exit_code == ExitCode.UNREACHABLE
-    text = "Error: the action /fibonaci is not served; did you mean /fibonacci?\n"
-    assert result.stderr == text
-
-    result = invoke("bridge", tcp, "unix:///tmp/never", "--rename", "fibonacci=wait")
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr.startswith("Error: /fibonacci and /wait cannot both be served as /wait")
 
 
 def test_a_bridge_of_several_urls_ends_by_a_signal(

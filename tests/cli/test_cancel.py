@@ -84,30 +84,6 @@ def test_no_goal_to_cancel_is_what_was_wanted(invoke: Invoke, tcp: str) -> None:
     assert (result.stdout, result.stderr) == ("", "There is no goal to cancel.\n")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ([], "no goal is named: give a GOAL_ID, --all or --before STAMP"),
-        (["wait", "aa", "--all"], "there is more than NAME and GOAL_ID"),
-        (["wait", "aa", "bb"], "there is more than NAME and GOAL_ID"),
-        (["--all", "--before", "1"], "--all and --before cannot be combined"),
-        (["--before", "0"], "a stamp of 0 means all goals"),
-        (["--before", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m"),
-        (["wait"], "unlike 'wait'; --all means all"),
-        (["dddd"], "there is no goal dddd at any server"),
-        (["wait", str(ID)], f"goal {ID} is unknown"),
-    ],
-)
-def test_what_cannot_be_meant_is_one_sentence(
-    invoke: Invoke, tcp: str, arguments: list[str], text: str
-) -> None:
-    result = invoke("cancel", *arguments, url=tcp)
-
-    assert result.exit_code == ExitCode.USAGE
-    assert text in result.stderr
-    assert result.stdout == ""
-
-
 @pytest.mark.asyncio
 async def test_a_server_that_is_lost_does_not_delay_the_others(
     capsys: pytest.CaptureFixture[str],

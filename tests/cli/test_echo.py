@@ -17,7 +17,7 @@ from fibaction import ActionInfo, GoalID, GoalInfo, GoalStatus, connect, serve
 from fibaction.cli.verbs import echo as echo_module
 from fibaction.cli.verbs.echo import CsvPrinter, EchoPrinter, EventPrinter, echo
 from fibaction.client.events import GoalFeedback
-from tests.cli.conftest import Open, Run, Start, detached, interrupt
+from tests.cli.conftest import Run, Start, detached, interrupt
 from tests.cli.served import Heard, Served, counter
 from tests.support.processes import ended, lines_until
 
@@ -49,18 +49,6 @@ def test_echo_shows_feedback_and_statuses_until_ctrl_c(started: Start, here: Run
     assert story[-1] == f"Goal {goal_id}: CANCELED"
     first = lines.index(f"Goal {goal_id}: feedback 1\n")
     assert lines[first + 1 : first + 4] == ["    progress: 0.0\n", "    step: step 0\n", "\n"]
-
-
-def test_in_a_terminal_feedback_that_tells_the_progress_has_a_bar(
-    terminal: Open, here: Run, tcp: str
-) -> None:
-    shown = terminal("echo", "wait", url=tcp)
-    goal_id = detached(here, tcp, "wait", "{seconds: 60, steps: 600}")
-    shown.until(rf"^Goal {goal_id}: feedback \d+  [━╸─]{{20}} +\d+%\n    progress: 0")
-    here("cancel", goal_id, url=tcp)
-    shown.press("\x03")
-
-    assert shown.ends() == 0
 
 
 async def echoed(verb: Callable[[], object], until: str) -> list[str]:
@@ -182,9 +170,3 @@ def test_csv_has_a_row_for_each_feedback_with_its_time_and_its_fields() -> None:
         ["time", "goal_id", "attempt", "number", "feedback"],
         [when, str(ID), "1", "1", "7"],
     ]
-
-
-def test_csv_and_json_cannot_be_combined(here: Run, tcp: str) -> None:
-    code, _, err = here("echo", "wait", "--csv", "--json", url=tcp)
-    assert code != 0
-    assert "--json and --csv cannot be combined" in err

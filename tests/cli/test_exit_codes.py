@@ -31,6 +31,7 @@ from fibaction.cli.process import exit_codes
 from fibaction.cli.process.exit_codes import (
     ExitCode,
     Failure,
+    check_installed,
     failure_of,
     message_of,
     report_errors,
@@ -133,6 +134,12 @@ def test_how_python_spells_a_setting_is_left_out() -> None:
         "use tls://, or append ?insecure=true to the URL (in code insecure=True)"
     )
     assert message_of(error) == "use tls://, or append ?insecure=true to the URL"
+
+
+def test_a_module_of_an_extra_is_needed() -> None:
+    check_installed("click", "fibaction", "cli")
+    with pytest.raises(Failure, match=r"^--fly needs no_wings: pip install 'fibaction\[air\]'$"):
+        check_installed("no_wings", "--fly", "air")
 
 
 def test_a_traceback_is_shown_only_if_it_is_asked_for(invoke: Invoke) -> None:

@@ -128,11 +128,6 @@ def test_only_what_was_given_up_runs_again(here: Run, path: Path) -> None:
     found = here("store", "rerun", str(path), "91c7")
     assert found.code == ExitCode.USAGE
     assert found.err == f"Error: no goal with an ID that begins with 91c7 was given up at {path}\n"
-    assert here("store", "rerun", str(path), "x").code == ExitCode.USAGE
-    found = here("store", "given_up", "tcp://127.0.0.1:7400?token=secret")
-    assert found.err.startswith("Error: tcp://127.0.0.1:7400 is one server: give the file of its")
-    assert found.code == ExitCode.USAGE
-    assert here("store", "rerun", str(path) + "x", "91c7").code == ExitCode.STORE
 
 
 def test_one_runs_again_at_the_server_that_runs(
@@ -150,8 +145,3 @@ def test_one_runs_again_at_the_server_that_runs(
                     await run_again_at(url, digits)
 
     anyio.run(rerun)
-
-
-def test_the_url_of_a_server_is_asked_for_what_was_given_up(here: Run) -> None:
-    found = here("store", "rerun", "tcp://127.0.0.1:1", "91c7")
-    assert found.code == ExitCode.UNREACHABLE

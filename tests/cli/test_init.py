@@ -56,15 +56,14 @@ def test_ctrl_c_while_fibaction_is_imported_exits_at_once(
 def test_without_the_extra_one_line_says_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(fibaction.cli, "NEEDED", ("click", "nosuchmodule"))
-
+    for name in ("click", "rich", "yaml"):
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(SystemExit) as exit:
         fibaction_main()
 
     assert exit.value.code == 2
-    assert capsys.readouterr().err == (
-        "The command fibaction needs nosuchmodule: pip install 'fibaction[cli]'\n"
-    )
+    needs = "The command fibaction needs click, rich, yaml: pip install 'fibaction[cli]'\n"
+    assert capsys.readouterr().err == needs
 
 
 def test_ctrl_c_in_the_moment_in_which_a_verb_begins_ends_as_shells_expect(

@@ -146,30 +146,6 @@ def test_goals_are_found_by_the_labels_with_which_they_were_sent(here: Run, url:
     assert dict(zip(heading, cells, strict=True))["labels"] == '{"order":"18"}'
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (["--since", "soon"], "'soon' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for"),
-        (["--since", "1m", "--until", "1h"], "--since is later than --until: no goal is between"),
-        (["--sort", "size"], "'size' is not one of 'accepted', 'began', 'ended', 'waited', 'ran'"),
-        (["--label", "order"], "'order' is not a label: it is KEY=VALUE, as in order=17"),
-        (["--label", "parent=17"], "'parent' is not the key of a label: it has a meaning of its"),
-        (["--watch", "--past"], "--watch shows all goals: leave out the options that choose or"),
-        (["--json", "--csv"], "--json and --csv cannot be combined"),
-        (["--watch", "--csv"], "--watch prints no CSV: use --json"),
-        (["--watch", "wait", "stubborn"], "--watch shows one action, or all: give one NAME or"),
-        (["--watch", "--since", "1m"], "--watch shows all goals: leave out the options that choos"),
-    ],
-)
-def test_options_that_mean_nothing_are_one_sentence(
-    here: Run, nobody: str, options: list[str], text: str
-) -> None:
-    found = here("goals", *options, url=nobody)
-
-    assert (found.code, found.out) == (ExitCode.USAGE, "")
-    assert text in found.err.splitlines()[-1]
-
-
 def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tcp: str) -> None:
     inside = detached(here, tcp, "arm/pick", "object_name: cup")
     outside = detached(here, tcp, "fibonacci", "order: 1")

@@ -45,25 +45,6 @@ def test_a_server_that_does_not_run_is_one_sentence(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("url", "text"),
-    [
-        ("127.0.0.1:7400", "URL: write it like tcp://"),
-        ("nonsense://x", "no transport for nonsense:// is installed"),
-        ("tcp://127.0.0.1:port", "port"),
-        ("tcp://127.0.0.1:7400?nonsense=1", "nonsense"),
-        ("unix:///nowhere/socket", "/nowhere/socket"),
-    ],
-)
-def test_a_wrong_url_is_one_sentence(invoke: Invoke, url: str, text: str) -> None:
-    result = invoke("-u", url, "list")
-
-    assert result.exit_code in (ExitCode.USAGE, ExitCode.UNREACHABLE)
-    assert text in result.stderr
-    assert result.stderr.startswith("Error: ")
-    assert result.stderr.count("\n") == 1
-
-
 @pytest.mark.parametrize("verb", [*REACHING, ["top"]], ids=lambda verb: " ".join(verb))
 def test_a_url_of_one_process_is_rejected_by_all_that_would_reach_another(
     invoke: Invoke, verb: list[str]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import sys
 from pathlib import Path
 from signal import SIGINT
 
@@ -117,17 +116,6 @@ def test_a_replay_serves_until_a_signal_comes(
     assert said[0].startswith(f"replaying /count of {file} at unix://")
 
 
-def test_a_file_that_is_not_a_recording_is_one_sentence(folder: Path, invoke: Invoke) -> None:
-    file = folder / "empty.jsonl"
-    file.write_text("hello\n")
-
-    for verb in ("show", "replay"):
-        result = invoke(verb, str(file))
-        assert result.exit_code == ExitCode.USAGE
-        assert result.stderr.startswith(f"Error: {file} ")
-        assert result.stderr.count("\n") == 1
-
-
 def test_a_server_that_runs_already_is_recorded_and_exported(
     folder: Path, started: Start, fibaction: Run, here: Run
 ) -> None:
@@ -164,20 +152,12 @@ async def test_a_file_that_cannot_be_written_is_one_sentence(folder: Path) -> No
             await recordings.record(url, file)
 
 
-def test_a_recording_that_cannot_be_exported_is_one_sentence(
-    folder: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_that_cannot_be_exported_is_one_sentence(folder: Path, invoke: Invoke) -> None:
     file = folder / "today.jsonl"
     file.write_text("hello\n")
-    for target, problem in (
-        ("today.mcap", f"{file} has no servers: is it a recording of fibaction?"),
-        ("no/today.mcap", f"cannot write {folder}/no/today.mcap: No such file or directory"),
-    ):
-        result = invoke("export", str(file), str(folder / target))
-        assert (result.exit_code, result.stderr) == (ExitCode.USAGE, f"Error: {problem}\n")
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    result = invoke("export", str(file), str(folder / "today.mcap"))
-    assert result.stderr == "Error: an MCAP file needs mcap: pip install 'fibaction[mcap]'\n"
+    result = invoke("export", str(file), f"{folder}/no/a.mcap")
+    problem = f"cannot write {folder}/no/a.mcap: No such file or directory"
+    assert (result.exit_code, result.stderr) == (ExitCode.USAGE, f"Error: {problem}\n")
 
 
 def test_a_server_that_is_not_there_leaves_no_file(folder: Path, invoke: Invoke) -> None:
@@ -185,5 +165,4 @@ def test_a_server_that_is_not_there_leaves_no_file(folder: Path, invoke: Invoke)
     result = invoke("record", f"unix://{folder}/nobody", str(file))
     assert result.exit_code == ExitCode.UNREACHABLE
     assert result.stderr.endswith(": start the server, or give another URL\n")
-    assert invoke("record", "inproc://robot", str(file)).exit_code == ExitCode.USAGE
     assert not file.exists()

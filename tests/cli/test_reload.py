@@ -267,32 +267,6 @@ def test_the_folder_is_that_of_the_module_or_of_the_outermost_package(
     assert reload.folder_of(name) == (file.parent / folder).resolve()
 
 
-@pytest.mark.parametrize(
-    ("target", "error"),
-    [
-        ("reloded:server", "there is no module 'reloded'; did you mean reloaded?"),
-        ("sys:server", "the module 'sys' has no folder that could change"),
-        ("reloaded", "'reloaded' is not written as module:server; did you mean reloaded:server?"),
-    ],
-)
-def test_a_wrong_module_is_one_sentence(
-    file: Path, invoke: Invoke, target: str, error: str
-) -> None:
-    result = invoke("serve", target, "--reload")
-
-    assert (result.exit_code, result.stderr) == (ExitCode.USAGE, f"Error: {error}\n")
-
-
-def test_without_watchfiles_one_sentence_says_so(
-    file: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(reload, "find_spec", lambda _: None)
-    result = invoke("serve", "reloaded:server", "--reload")
-
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == "Error: --reload needs watchfiles: pip install 'fibaction[reload]'\n"
-
-
 def test_where_processes_do_not_fork_one_sentence_says_that_it_is_not_there(
     file: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:

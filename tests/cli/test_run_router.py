@@ -59,11 +59,3 @@ def test_an_address_of_ipv6_has_brackets_in_its_locator(
         assert here("router", "--host", host, "--port", str(port)) == (0, "", "")
 
     assert said == [f"router at tcp/[::1]:{port}, Ctrl-C stops it" for port in ports]
-
-
-def test_without_the_library_of_zenoh_it_says_what_to_install(
-    here: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run_router, "find_spec", lambda _: None)
-    needs = "Error: fibaction router needs zenoh: pip install 'fibaction[zenoh]'\n"
-    assert here("router") == (2, "", needs)

@@ -244,19 +244,6 @@ async def test_goals_are_sorted_in_the_next_order() -> None:
 
 
 @pytest.mark.asyncio
-async def test_a_goal_that_is_followed_shows_what_was_sent() -> None:
-    server = counter("arm/pick")
-    monitor = watching(server)
-    async with server:
-        await Served(server).connection.client(server.action).send_goal(77, goal_id=FIRST)
-        monitor.on_event("arm/pick", GoalInfo(FIRST, 1, GoalStatus.EXECUTING))
-        async with shown(monitor) as pilot:
-            await pilot.press("f")
-            await until(pilot, "77")
-            assert find(pilot, "Goal:")
-
-
-@pytest.mark.asyncio
 async def test_a_server_that_is_away_is_shown_at_the_top() -> None:
     monitor = filled()
     async with shown(monitor) as pilot:
@@ -276,14 +263,6 @@ async def test_a_screen_that_is_being_taken_down_is_drawn_no_more() -> None:
         assert isinstance(pilot.app, TopScreen)
         await pilot.app.query_one("#state").remove()
         pilot.app.draw()
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize("key", ["q", "ctrl+c"])
-async def test_keys_quit(key: str) -> None:
-    async with shown(filled()) as pilot:
-        await press(pilot, key)
-        assert pilot.app.return_code == 0
 
 
 @pytest.mark.asyncio

@@ -6,9 +6,8 @@ import json
 import math
 import signal
 import socket
-import subprocess
 import uuid
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from typing import Any
 import anyio
 import msgspec
 import pytest
-from pydantic import BaseModel, Field
 
 from fibaction import (
     ActionServer,
@@ -36,10 +34,8 @@ from fibaction import (
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream, Meta
 from fibaction.cli.output.render import TextPrinter
-from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.cli.process.signals import SAME_SIGNAL
+from fibaction.cli.process.exit_codes import ExitCode
 from fibaction.cli.verbs import send_goal
-from fibaction.cli.verbs.info import print_info
 from fibaction.cli.verbs.send_goal import SendOptions, SendTimes, send
 from fibaction.server.admission.callbacks import GoalCallbacks
 from fibaction.server.settings import ActionServerSettings
@@ -111,26 +107,13 @@ def test_a_server_that_dies_is_a_lost_connection(
     assert "Traceback" not in err
 
 
-def not_within_a_moment(process: subprocess.Popen[Any]) -> None:
-    """Let pass the time in which a second Ctrl-C would count as the first again."""
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(SAME_SIGNAL)
-
-
-def test_who_reads_no_more_cancels_the_goal(started: Start, tcp: str) -> None:
+def test_who_reads_no_more_cancels_the_goal(started: Start, here: Run, tcp: str) -> None:
     process = started("send_goal", "wait", "{seconds: 60, steps: 600}", "-f", "--json", url=tcp)
     accepted = json.loads(lines_until("accepted", process)[0])
     assert process.stdout is not None
     process.stdout.close()
     assert process.wait(30) == 1
-
-    async def outcome() -> GoalStatus:
-        async with connect(tcp, WAIT) as client:
-            goal = await client.attach(GoalID.parse(accepted["goal_id"]))
-            with anyio.fail_after(10):
-                return (await goal.outcome()).status
-
-    assert anyio.run(outcome) is GoalStatus.CANCELED
+    assert here("attach", accepted["goal_id"], "wait", url=tcp).code == ExitCode.CANCELED
 
 
 def test_utf_8_is_shown_as_it_is_or_as_numbers(fibaction: Run, tcp: str) -> None:
@@ -162,34 +145,6 @@ def test_on_a_terminal_there_is_a_bar_and_it_is_gone_in_the_end(
     assert not shown.cursor_hidden
 
 
-def test_the_log_is_above_the_line_that_changes(
-    terminal: Open, start_robot: Callable[[], Robot]
-) -> None:
-    robot = start_robot()
-    shown = terminal("send_goal", "wait", "{steps: 4}", "-f", url=robot.tcp)
-    shown.until("step: step 0")
-    robot.process.kill()
-    shown.until(r"closed its side\n.* 0%  step: step 0")
-    shown.press("\x03")
-    shown.until("Canceling goal")
-    not_within_a_moment(shown.process)
-    shown.press("\x03")
-
-    assert shown.ends() == ExitCode.INTERRUPTED
-    assert f"\nfibaction: {robot.tcp} closed its side\nCanceling goal..." in shown.text
-    assert "was left, and may continue." in shown.text
-    assert "step 0" not in shown.text
-
-
-def test_a_terminal_that_cannot_redraw_gets_lines(terminal: Open, tcp: str) -> None:
-    shown = terminal(
-        "send_goal", "arm/pick", "object_name: cup", "-f", url=tcp, env={"TERM": "dumb"}
-    )
-    assert shown.ends() == 0
-
-    assert shown.text.count("Feedback:") == 4
-
-
 # In this process
 
 
@@ -204,56 +159,6 @@ def test_the_goal_comes_from_one_place(invoke: Invoke, tcp: str, tmp_path: Path)
     ):
         assert result.exit_code == 0
         assert "Goal finished with status: SUCCEEDED" in result.output
-    twice = invoke("send_goal", "fibonacci", "order: 1", "--stdin", input="", url=tcp)
-    assert twice.exit_code == ExitCode.USAGE
-    assert "the goal is given twice" in twice.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["fibonacci", "order: x"], 'Error: goal.order must be a whole number, not "x"'),
-        (["fibonacci"], "Error: goal.order is missing"),
-        (["fibonacci", "arduinobot_msgs/Fibonacci"], "Error: goal.order is missing"),
-        (["fibonacci", "arduinobot_msgs.action.Fibonacci"], "Error: goal.order is missing"),
-        (["fibonacci", "arduinobot_msgs::action::Fibonacci"], "Error: goal.order is missing"),
-        (["fibonacci", "ordr: 1"], 'Error: goal has no field "ordr"; did you mean order?'),
-        (["fibonacci", "{order: 1"], "Error: the goal is not valid YAML (line 1, column "),
-        (["fibonacci", '{"order": 99999999999999999999}'], "Error: the goal cannot be encoded: "),
-        (["words", '{"words": "\\ud800"}'], "Error: the goal cannot be encoded: "),
-        (
-            ["fibonacci", "x/action/Y", "order: 1"],
-            "Error: the action /fibonacci is of the type arduinobot_msgs/action/Fibonacci, not x/",
-        ),
-        (["fibonacci", "a/action/B", "order: 1", "more"], "or write each field as FIELD=VALUE"),
-        (["fibonacci", "order=1", "order=2"], "Error: the field order is given twice"),
-        (["fibonacci", "order=1", "order.a=2"], "Error: the field order.a is given twice"),
-        (["fibonacci", "order:=[1"], "Error: the goal is not valid YAML (line 1, column "),
-        (["fibonacci", "ordr=1"], 'Error: goal has no field "ordr"; did you mean order?'),
-        (["fibonacci", "--goal-file", "/nowhere"], "Error: /nowhere: No such file"),
-        (["fibonacci", "order: 1", "--detach", "-f"], "--detach does not wait for feedback"),
-        (["fibonacci", "order: 1", "-t", "0"], "0 is not in the range"),
-        (["fibonacci", "order: 1", "-t", "nan"], "'nan' is not a number"),
-        (["fibonacci", "/arduinobot_msgs/action/Fibonacci"], "Error: goal.order is missing"),
-        *(
-            (["fibonacci", name, ""], "Error: goal.order is missing")
-            for name in (
-                "/arduinobot_msgs/action/Fibonacci",
-                "Fibonacci",
-                "arduinobot_msgs.Fibonacci",
-            )
-        ),
-    ],
-)
-def test_what_cannot_be_sent_is_one_sentence(
-    invoke: Invoke, tcp: str, arguments: list[str], text: str
-) -> None:
-    result = invoke("send_goal", *arguments, url=tcp)
-
-    assert result.exit_code == ExitCode.USAGE
-    assert text in result.stderr
-    assert "Traceback" not in result.stderr
-    assert result.stdout == ""
 
 
 def test_a_file_that_is_no_text_is_one_sentence(invoke: Invoke, tcp: str, tmp_path: Path) -> None:
@@ -737,37 +642,3 @@ def test_a_goal_for_an_action_without_schemas_is_sent_as_it_is() -> None:
     info = Action("any", goal=object, feedback=int, result=str).info
 
     assert send_goal.goal_for(info, "", "{a: 1}") == {"a": 1}
-    with pytest.raises(Failure):
-        send_goal.goal_for(WAIT.info, "a/action/B", "")
-
-
-# Types of other libraries
-
-
-class Drive(BaseModel):
-    meters: float = Field(gt=0, le=100)
-    photo: bytes = b""
-
-
-class Arrived(BaseModel):
-    photo: bytes
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize("where", ["inproc://models", "tcp://127.0.0.1:0"])
-async def test_an_action_of_pydantic_models_is_sent_like_any_other(
-    where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    async def drive(goal: GoalHandle[Drive]) -> AsyncIterator[int | Arrived]:
-        yield 1
-        yield Arrived(photo=goal.request.photo)
-
-    action = Action("drive", goal=Drive, feedback=int, result=Arrived)
-    async with serve(ActionServer(action, drive), where) as (url,):
-        await print_info(url, "drive", show_types=False, count=False, as_json=False)
-        assert "    meters: 1  # a number, at most 100, more than 0" in capsys.readouterr().out
-        options = SendOptions(as_json=True)
-        assert await send(url, "drive", "", "{meters: 3, photo: /w==}", options) == 0
-        assert '"result":{"photo":"/w=="}' in capsys.readouterr().out
-        with pytest.raises(Failure, match=r"goal\.meters: 1000 is greater than the maximum of 100"):
-            await send(url, "drive", "", "meters: 1000", options)

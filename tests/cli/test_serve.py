@@ -9,6 +9,7 @@ import re
 import signal
 import socket
 import subprocess
+import urllib.request
 import weakref
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
@@ -105,6 +106,23 @@ def test_a_second_ctrl_c_ends_at_once_and_quietly(
     assert not re.search("Traceback|Exception|Interrupt", server.text)
 
 
+def test_metrics_of_goals_are_served_until_the_servers_stop(
+    folder: Path, started: Start, here: Run
+) -> None:
+    unix = f"unix://{folder}/socket"
+    server = started("serve", "robot:several", unix, "--metrics", ":0")
+    lines = lines_until("serving", server)
+    found = re.fullmatch(r"metrics at (http://127.0.0.1:\d+/metrics)\n", lines[0])
+    assert found
+    assert here("send_goal", "count", "3", url=unix).code == ExitCode.SUCCEEDED
+    with urllib.request.urlopen(found[1], timeout=10) as response:
+        text = response.read().decode()
+    server.send_signal(SIGINT)
+
+    assert 'fibaction_goals_total{action="count",status="SUCCEEDED"} 1.0' in text
+    assert ended(server)[0] == 0
+
+
 # serve, in this process
 
 
@@ -144,16 +162,7 @@ def test_ctrl_c_during_the_import_is_an_interruption(folder: Path, invoke: Invok
     assert invoke("serve", "slow:server").exit_code == ExitCode.INTERRUPTED
 
 
-def test_urls_of_this_process_alone_are_rejected(
-    folder: Path, started: Start, invoke: Invoke
-) -> None:
-    for result in (
-        invoke("serve", "robot:server", "inproc://robot"),
-        invoke("serve", "robot:server", "inproc://one", "inproc://two", "--reload"),
-        invoke("serve", "robot:server", url="inproc://robot"),
-    ):
-        assert result.exit_code == ExitCode.USAGE
-        assert "is for clients in the process of the server" in result.stderr
+def test_a_url_of_this_process_is_served_beside_another(folder: Path, started: Start) -> None:
     both = started("serve", "robot:server", f"unix://{folder}/socket", "inproc://robot")
     assert lines_until("", both) == [
         f"serving /count at unix://{folder}/socket, inproc://robot, Ctrl-C stops it\n"
@@ -227,40 +236,6 @@ async def test_servers_that_have_a_store_keep_it(tmp_path: Path) -> None:
     assert servers[0].store is own
     async with servers[1]:
         assert (tmp_path / "goals.db").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "text"),
-    [
-        (["tcp://0.0.0.0:0"], ExitCode.USAGE, "append ?insecure=true to the URL\n"),
-        (
-            ["robot:count"],
-            ExitCode.USAGE,
-            "can be given: write a list of the servers in the module",
-        ),
-        (
-            ["--store", "none/goals.db"],
-            ExitCode.STORE,
-            "{folder}/none/goals.db: there is no folder {folder}/none; make it first\n",
-        ),
-        (["--sync", "normal"], ExitCode.USAGE, "Error: --sync is a setting of --store FILE\n"),
-        (["--history", "7"], ExitCode.USAGE, "Error: --history is a setting of --store FILE; in"),
-        (["--metrics", "here"], ExitCode.USAGE, "Error: an address for metrics is like 127.0.0.1:"),
-        (
-            ["--record", "none/a.jsonl"],
-            ExitCode.USAGE,
-            "Error: cannot record to {folder}/none/a.jsonl: No such file or directory\n",
-        ),
-    ],
-)
-def test_what_cannot_be_used_is_one_sentence(
-    folder: Path, invoke: Invoke, arguments: list[str], code: ExitCode, text: str
-) -> None:
-    result = invoke("serve", "robot:make", f"unix://{folder}/socket", *arguments)
-
-    assert (result.exit_code, result.stdout) == (code, "")
-    assert text.format(folder=folder) in result.stderr
-    assert "True" not in result.stderr
 
 
 @pytest.mark.asyncio

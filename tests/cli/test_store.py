@@ -83,26 +83,6 @@ def test_a_store_in_use_is_copied_and_a_server_starts_with_the_copy(
 # What cannot be done
 
 
-def test_the_file_has_to_be_there(here: Run, tmp_path: Path) -> None:
-    for path in (tmp_path / "none.db", tmp_path / "none" / "goals.db"):
-        found = here("store", "backup", str(path))
-
-        assert found.code == 7
-        assert found.err == f"Error: cannot back up the goals in {path}: there is no such file\n"
-
-
-def test_the_file_has_to_be_a_store(here: Run, tmp_path: Path) -> None:
-    found = here("store", "backup", __file__, str(tmp_path / "backup.db"))
-    assert found.code == 7
-    assert found.err.startswith("Error: cannot back up the goals in ")
-    assert found.err.endswith(": it is not a store of goals; use another file\n")
-    assert list(tmp_path.iterdir()) == []
-
-    found = here("store", "backup", str(tmp_path))
-    assert found.code == 7
-    assert found.err == f"Error: cannot back up the goals in {tmp_path}: it is not a file\n"
-
-
 @pytest.mark.parametrize("name", ["backup.db", "backup.db-wal"])
 def test_a_file_that_exists_is_not_replaced(
     here: Run, store: Path, tmp_path: Path, name: str

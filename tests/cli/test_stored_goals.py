@@ -128,25 +128,3 @@ def test_the_history_of_a_store_is_listed_without_a_server(
 def test_a_store_without_a_history_has_no_past(here: Run, path: Path) -> None:
     listed = here("goals", "--past", "--store", str(path), "--json").json
     assert listed == here("goals", "--store", str(path), "--json").json
-
-
-def test_a_file_that_is_not_there_is_an_error(here: Run, tmp_path: Path) -> None:
-    path = tmp_path / "none.db"
-    found = here("goals", "--store", str(path))
-
-    assert found.code == 7
-    assert found.err == f"Error: cannot read the goals in {path}: there is no such file\n"
-
-
-def test_another_file_is_an_error(here: Run) -> None:
-    found = here("goals", "--store", __file__)
-
-    assert found.code == 7
-    assert found.err.endswith(": it is not a store of goals; use another file\n")
-
-
-def test_a_store_is_not_watched(here: Run, path: Path) -> None:
-    found = here("goals", "--store", str(path), "--watch")
-
-    assert found.code == 2
-    assert found.err == "Error: --store lists what is in the file now: leave out --watch\n"

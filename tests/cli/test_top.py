@@ -111,16 +111,6 @@ def test_each_stream_is_needed_for_the_screen(
     assert (result.exit_code, result.stderr) == (ExitCode.USAGE, NEEDS_TERMINAL)
 
 
-def test_without_textual_it_says_how_to_get_it(
-    invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(top, "find_spec", lambda _: None)
-    result = invoke("top", url=tcp)
-
-    assert result.exit_code == ExitCode.USAGE
-    assert result.stderr == "Error: fibaction top needs textual: pip install 'fibaction[tui]'\n"
-
-
 # Here
 
 

@@ -12,7 +12,6 @@ from fibaction import WorkerInfo
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.cli.verbs import workers
 from fibaction.cli.verbs.workers import lines_of, list_workers, note_unreadable
-from tests.cli.conftest import Invoke
 
 NOW = 1_800_000_000
 WORKERS = [
@@ -96,12 +95,3 @@ async def test_an_empty_fleet_is_a_remark_without_the_settings_of_the_url(
     assert await list_workers("nats://broker/robots?token=secret", as_json=False) == 0
     printed = capsys.readouterr()
     assert (printed.out, printed.err) == ("", "There are no workers at nats://broker/robots.\n")
-
-
-def test_a_server_without_a_fleet_has_no_workers(invoke: Invoke) -> None:
-    answer = invoke("workers", url="tcp://127.0.0.1:7400")
-    assert answer.exit_code == 2
-    assert answer.stderr == (
-        "Error: tcp://127.0.0.1:7400 is one server, and not a fleet with workers: give the URL of a"
-        " fleet, such as nats://127.0.0.1/robots\n"
-    )

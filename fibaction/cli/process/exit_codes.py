@@ -118,6 +118,18 @@ def advising(advice: str) -> Generator[None, None, None]:
         raise failure_of(exc, advice) from exc
 
 
+def check_installed(module: str, what: str, extra: str) -> None:
+    """Check that a module is installed, which an extra brings.
+
+    Raises:
+        Failure: It is not.
+    """
+    from importlib.util import find_spec
+
+    if find_spec(module) is None:
+        raise Failure(f"{what} needs {module}: pip install 'fibaction[{extra}]'")
+
+
 def reason_of(answer: CancelAnswer) -> str:
     """Return why goals are not canceled."""
     if answer.return_code is CancelCode.GOAL_TERMINATED:

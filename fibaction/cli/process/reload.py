@@ -27,7 +27,7 @@ import click
 
 from fibaction.cli.arguments.import_target import add_current_folder, no_module, parse
 from fibaction.cli.output.lines import note
-from fibaction.cli.process.exit_codes import ExitCode, Failure, report_errors
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, report_errors
 
 SAME_STOP = 1.0
 """Seconds within which the process that serves takes a second signal as the first again."""
@@ -52,8 +52,7 @@ def run_reloading(
         Failure: There is no such module, watchfiles is not installed, or this is Windows.
         click.exceptions.Exit: A signal came.
     """
-    if find_spec("watchfiles") is None:
-        raise Failure("--reload needs watchfiles: pip install 'fibaction[reload]'")
+    check_installed("watchfiles", "--reload", "reload")
     if not hasattr(os, "fork"):
         needs = "--reload needs Linux or macOS: stop and start the server instead"
         raise Failure(needs)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import click
@@ -12,7 +11,7 @@ from anyio import to_thread
 
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.signals import stop_signals
 
 HOST, PORT = "localhost", 7447
@@ -43,8 +42,7 @@ def router_command(host: str, port: int) -> None:
 
     Ctrl-C or SIGTERM stops it. Peers that know each other continue without it.
     """
-    if find_spec("zenoh") is None:
-        raise Failure("fibaction router needs zenoh: pip install 'fibaction[zenoh]'")
+    check_installed("zenoh", "fibaction router", "zenoh")
     bare = host.strip("[]")
     run(run_router, f"tcp/[{bare}]:{port}" if ":" in bare else f"tcp/{bare}:{port}")
 

@@ -22,7 +22,7 @@ from fibaction.cli.arguments.import_target import AnyServer, import_servers
 from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.process.signals import LastSeconds, stop_signals
@@ -262,11 +262,8 @@ async def metrics_of(servers: Sequence[AnyServer], address: str) -> AsyncGenerat
     Raises:
         Failure: The address cannot be used, or prometheus-client is not installed.
     """
-    try:
-        counts = Metrics()
-    except ImportError as exc:
-        needs = "--metrics needs prometheus-client: pip install 'fibaction[metrics]'"
-        raise Failure(needs) from exc
+    check_installed("prometheus_client", "--metrics", "metrics")
+    counts = Metrics()
     for server in servers:
         server.watch_by([counts])
     try:

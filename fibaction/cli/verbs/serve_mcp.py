@@ -10,7 +10,6 @@ import os
 import re
 import secrets
 from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import Any, cast
 
 import anyio
@@ -20,7 +19,7 @@ from fibaction.border.gateway import Gateway, GatewayTransport, ServerGroup
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.lines import note, say
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import LastSeconds, stop_signals
 from fibaction.observe.followed_servers import FollowedServers
@@ -95,8 +94,7 @@ def mcp_command(
     Ctrl-C, SIGTERM or the end of stdin ends it. Goals that a tool waits for are canceled, all
     others continue at their server. A second signal ends it at once.
     """
-    if find_spec("mcp") is None:
-        raise Failure("fibaction mcp needs mcp: pip install 'fibaction[mcp]'")
+    check_installed("mcp", "fibaction mcp", "mcp")
     if http is None and (cert or key or insecure):
         raise Failure("--cert, --key and --insecure are settings of --http")
     servers = named_servers(addresses or (url_of(context),))

@@ -7,7 +7,6 @@ import sys
 from collections import deque
 from collections.abc import Generator
 from contextlib import contextmanager
-from importlib.util import find_spec
 
 import click
 
@@ -17,7 +16,7 @@ from fibaction.border.urls import without_settings
 from fibaction.cli.arguments.completion import namespace_option
 from fibaction.cli.arguments.namespaces import ROOT, Namespace
 from fibaction.cli.arguments.options import url_option
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.signals import until_interrupted
 from fibaction.observe.monitor import Monitor
 from fibaction.words.errors import ActionError
@@ -41,8 +40,7 @@ feedback and its end; / filters; s sorts; q quits.""",
 @url_option
 def top_command(namespace: Namespace, url: str) -> None:
     """Watch all actions and goals on a live screen: progress, rates, the latest feedback, ends."""
-    if find_spec("textual") is None:
-        raise Failure("fibaction top needs textual: pip install 'fibaction[tui]'")
+    check_installed("textual", "fibaction top", "tui")
     # Textual draws on stderr.
     if not all(stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr)):
         raise Failure(
