@@ -17,6 +17,8 @@ MOST_GOALS = 1000
 MOST_LETTERS = 2_000_000
 """Characters of all lines, each of which has at most `REASON`; with more, the lines of goals leave
 in the same order."""
+MOST_LINES = 100_000
+"""Lines of all goals, each of which takes memory of its own; with more, the same."""
 MESSAGE, TRACEBACK = 400, 600
 """Characters of a message that is kept before a traceback, and of the end of that."""
 
@@ -33,6 +35,7 @@ class LogKeeper(logging.Handler):
         self._most = most
         self._lines: OrderedDict[GoalID, deque[LogLine]] = OrderedDict()
         self._letters = 0
+        self._count = 0
 
     @contextmanager
     def open(self) -> Generator[None, None, None]:
@@ -78,11 +81,20 @@ class LogKeeper(logging.Handler):
         self._lines.move_to_end(goal.goal_id)
         lines.append(line)
         self._letters += len(line.text)
+        self._count += 1
         if len(lines) > self._most:
-            self._letters -= len(lines.popleft().text)
-        while len(self._lines) > MOST_GOALS or self._letters > MOST_LETTERS:
+            self._forget(lines.popleft())
+        while (
+            len(self._lines) > MOST_GOALS
+            or self._letters > MOST_LETTERS
+            or self._count > MOST_LINES
+        ):
             _, gone = self._lines.popitem(last=False)
-            self._letters -= sum(len(one.text) for one in gone)
+            self._forget(*gone)
+
+    def _forget(self, *gone: LogLine) -> None:
+        self._letters -= sum(len(one.text) for one in gone)
+        self._count -= len(gone)
 
     def _is_only_handler(self, record: logging.LogRecord) -> bool:
         """Return whether nothing else handles a record. `logging` itself would write it to stderr

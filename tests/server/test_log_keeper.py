@@ -129,6 +129,16 @@ def test_the_characters_of_all_lines_are_bounded(
     assert [len(keeper.of(goal_id) or ()) for goal_id in (one, two)] == [0, 2]
 
 
+def test_the_number_of_all_lines_is_bounded_also_if_they_are_empty(
+    keeper: LogKeeper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_keeper, "MOST_LINES", 4)
+    goals = [GoalID.random() for _ in range(3)]
+    for goal_id in (*goals[:1] * 4, *goals[1:]):  # of one goal, three lines are kept
+        tell(keeper, goal_id, "")
+    assert [len(keeper.of(goal_id) or ()) for goal_id in goals] == [0, 1, 1]
+
+
 def test_a_long_line_is_cut(keeper: LogKeeper) -> None:
     tell(keeper, goal_id := GoalID.random(), "x" * 5000)
     [line] = keeper.of(goal_id) or []
