@@ -40,6 +40,7 @@ try {
 
 const untyped = await connection.attach("fibonacci", "00".repeat(16), { after: 0, observe: true });
 for await (const feedback of untyped.feedback) console.log(feedback.anything);
+console.log(untyped.checkpoint?.anything);
 await untyped.cancel();
 untyped.leave();
 await connection.cancel("fibonacci", { before: 5n });

@@ -169,6 +169,18 @@ test("a server that stops is dialed again, and one that refuses the token is not
   assert.equal(sockets.length, 2);
 });
 
+test("a goal that was given up has its checkpoint, which is null if it has none", async () => {
+  const connection = connect();
+  sockets[0].open();
+  for (const [told, found] of [[encode({ done: 4 }), { done: 4 }], [new Uint8Array(), null],
+    [null, undefined]]) {
+    const attaching = connection.attach("count", "ab".repeat(16));
+    const [, number] = sockets[0].said.at(-1);
+    sockets[0].hear([FOLLOWING, number, 5, 6, false, 0, 3, null, null, null, told]);
+    assert.deepEqual((await attaching).checkpoint, found);
+  }
+});
+
 test("a request of one's own is answered with the fields of the answer", async () => {
   const connection = connect();
   sockets[0].open();

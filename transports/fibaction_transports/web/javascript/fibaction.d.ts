@@ -134,6 +134,12 @@ export interface Goal<Action extends ActionTypes = AnyAction> {
   readonly goal: Action["goal"] | null;
   /** Labels that its client has given it; empty if there are none. */
   readonly labels: Readonly<Record<string, string>>;
+  /**
+   * Last checkpoint of a goal that its server has given up and can run again, as it was when this
+   * client attached; null if it has none, undefined for any other goal. Only clients that may
+   * observe the action are told it.
+   */
+  readonly checkpoint?: any;
   readonly status: Status;
   onstatus: ((status: Status) => void) | null;
   /** Number of the feedback that was read last, which `attach` takes as `after`. */

@@ -218,18 +218,18 @@ class Goal {
       : [FOLLOW, this.action, this._id, this._last, this._isOwn, credit, this._attempt];
   }
 
-  [FOLLOWING](stamp, status, latest, place, attempt = 1, goal = null, parent, labels) {
+  [FOLLOWING](stamp, status, latest, place, attempt = 1, goal = null, parent, labels, checkpoint) {
     stamp = BigInt(stamp);
-    if (this.stamp && this.stamp !== stamp) { // of another server
-      this._connection._leave(this, CLOSE);
-      return this[ENDED](0, null, "", 0);
-    }
     if (!this.stamp) {
       this.goal ??= goal && decode(goal);
       this.labels ??= labels ?? {};
-      Object.assign(this, { stamp, attempt, number: place, _attempt: attempt, _last: place });
-      this._latest = latest;
+      if (checkpoint) this.checkpoint = checkpoint.length ? decode(checkpoint) : null;
+      Object.assign(this, { stamp, attempt, number: place, _attempt: attempt, _last: place,
+        _latest: latest });
       this._accepted.resolve(this);
+    } else if (this.stamp !== stamp) { // of another server
+      this._connection._leave(this, CLOSE);
+      return this[ENDED](0, null, "", 0);
     } else if (attempt !== this._attempt) Object.assign(this, { _attempt: attempt, _last: place });
     this[STATUS_CHANGED](status);
   }
@@ -324,7 +324,7 @@ class Watch {
     return [WATCH_STATUS, this.action, WINDOW];
   }
 
-  [FINISHED]() { // the server has stopped, perhaps behind a gateway that goes on
+  [FINISHED]() {
     setTimeout(() => this.followers.size && this._connection._open(this), LONGEST_PAUSE);
   }
 
