@@ -954,6 +954,23 @@ def test_a_hundred_active_goals_need_no_clock_for_each_row_and_frame(
 # A robot that is away
 
 
+COUNT_LINES = """
+    () => {
+      const texts = document.createTreeWalker(document.querySelector(".bar"), NodeFilter.SHOW_TEXT);
+      const middles = [];
+      const range = document.createRange();
+      while (texts.nextNode()) {
+        range.selectNodeContents(texts.currentNode);
+        for (const { top, bottom } of range.getClientRects()) {
+          const middle = (top + bottom) / 2;
+          if (!middles.some((one) => Math.abs(one - middle) < 8)) middles.push(middle);
+        }
+      }
+      return middles.length;
+    }
+"""
+
+
 def test_a_robot_that_is_away_does_not_look_alive_and_comes_back_by_itself(
     page: Page, new_robot: NewRobot
 ) -> None:
@@ -968,6 +985,8 @@ def test_a_robot_that_is_away_does_not_look_alive_and_comes_back_by_itself(
         expect(action(page, "fibonacci")).to_contain_text("away")
         expect(page.locator("#connection")).to_have_text("connected, servers are away")
         expect(page.get_by_text("The server of fibonacci is away since")).to_be_visible()
+        page.set_viewport_size({"width": 390, "height": 844})
+        assert page.evaluate(COUNT_LINES) == 2
         page.get_by_role("button", name="Send goal").click()
         expect(page.get_by_role("alert")).to_contain_text("nothing was sent", timeout=3000)
 
