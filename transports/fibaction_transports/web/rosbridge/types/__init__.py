@@ -1,1 +1,0 @@
-"""Messages of rosbridge as payloads, and type definitions as JSON Schemas."""
