@@ -18,8 +18,8 @@ from fibaction.testing import ScriptedServer
 from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.mcp import McpBridge
 from fibaction_transports.mcp.tool_list import tool_input
+from fibaction_transports.web.rosbridge.action_values import GoalArguments
 from fibaction_transports.web.rosbridge.operations import Arguments
-from fibaction_transports.web.rosbridge.types.action_values import GoalArguments
 from tests.doors import DOORS
 from tests.support.ros_domain import own_domain
 from tests.transports.a2a.agent_talk import TOKEN, state_of, talking

@@ -21,7 +21,7 @@ from fibaction.border.http_access import rules
 from fibaction.wire.settings import Limits, WireSettings
 from fibaction.wire.wire_server import open_server
 from fibaction_transports.web.http.application import WebApplication
-from fibaction_transports.web.http.web_server import WebServer
+from fibaction_transports.web.http_transport import WebServer
 from fibaction_transports.web.rosbridge.server.channel import RosbridgeGuest
 from tests.fuzz.fuzzer import fuzz, run_without_errors
 from tests.support.fibonacci import FIBONACCI, fibonacci

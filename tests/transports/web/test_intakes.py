@@ -9,7 +9,7 @@ from fibaction import Peer, Permission, ServerNotFound, connect, serve
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, Intake, IntakeChange
 from fibaction.border.http_access import Refused
 from fibaction.words.intake import NO_LEVERS
-from fibaction_transports.web.rest.intakes import wanted_in
+from fibaction_transports.web.rest.actions import wanted_in
 from tests.support.fibonacci import FIBONACCI
 from tests.transports.tcp.servers import new_server
 from tests.transports.web.http_client import fetch

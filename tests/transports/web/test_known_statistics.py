@@ -13,8 +13,8 @@ from fibaction import ActionServer, GoalHistory, SqliteStore, serve
 from fibaction.border.abc import Endpoint, ForwardingEndpoint
 from fibaction.words.goal_query import GoalQuery
 from fibaction.words.goals import GoalInfo
-from fibaction_transports.web.rest import known_statistics
-from fibaction_transports.web.rest.known_statistics import KnownStatistics
+from fibaction_transports.web.rest import actions
+from fibaction_transports.web.rest.actions import KnownStatistics
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.transports.web.http_client import fetch
 
@@ -62,8 +62,8 @@ class Counted(ForwardingEndpoint):
 
 async def test_many_who_ask_at_once_get_one_computation(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [100.0]
-    monkeypatch.setattr(known_statistics, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(known_statistics, "MOST_KNOWN", 2)
+    monkeypatch.setattr(actions, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(actions, "MOST_KNOWN", 2)
     async with ActionServer(FIBONACCI, fibonacci) as server:
         counted = Counted(server)
         known = KnownStatistics()

@@ -38,7 +38,7 @@ from fibaction.schema.payload import PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports._http.problems import problem_of
-from fibaction_transports.web.rest import event_stream
+from fibaction_transports.web.rest import goal_events
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
@@ -290,7 +290,7 @@ async def test_events_go_on_behind_the_last_one() -> None:
 
 
 async def test_a_quiet_stream_is_kept_alive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(event_stream, "KEEP_ALIVE_AFTER", 0.05)
+    monkeypatch.setattr(goal_events, "KEEP_ALIVE_AFTER", 0.05)
     async with served(Held().server) as url, client_of(url) as client:
         await client.ask("POST", GOALS, {"order": 0}, accept=EVENTS)
         await client.until("\n\n:\n\n:\n\n")
@@ -326,7 +326,7 @@ async def test_a_stream_that_breaks_while_its_end_is_waited_for_is_an_error(
     async def wait(url: str) -> None:
         answers.append(await fetch(url, "GET", f"{GOALS}/{ID}?wait=30"))
 
-    monkeypatch.setattr(event_stream, "AT_ONCE", 0.0)
+    monkeypatch.setattr(goal_events, "AT_ONCE", 0.0)
     async with served(Followed(Held().server)) as url:
         await fetch(url, "PUT", f"{GOALS}/{ID}", {"order": 0})
         async with anyio.create_task_group() as tasks:

@@ -1,8 +1,13 @@
-"""`AgentHttpTransport`: the address, the tokens and the rules of a server of HTTP for agents.
+"""`AgentHttpTransport`: the address, the tokens and the rules of a server of HTTP for agents, and
+`DocumentApp`, which takes the documents out of their requests before an SDK reads them.
 
 Requests are let in by the rules of this project's web servers: the `Host` must be this machine or
 an address, the `Origin` none or the same, and the token must be right, before anything is read. So
 no page of a browser and no other user of the machine can move a robot.
+
+The SDKs make models of all that a request has, and check each of them on the event loop, which
+takes seconds for a large goal. So the goals are taken out of the JSON here, in a thread if the
+request is large, and what is left has a small bound.
 """
 
 from __future__ import annotations
@@ -10,28 +15,49 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from ssl import SSLContext
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeAlias, Unpack
 from urllib.parse import SplitResult
+
+import msgspec
+from starlette.responses import JSONResponse
 
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.event_loop import Background, asyncio_task
 from fibaction.border.gateway import Gateway, GatewayTransport
 from fibaction.border.http_access import HttpRules, Refused, bearer_in, rules
+from fibaction.border.peer_text import excerpt
 from fibaction.border.settings import TransportSettings
+from fibaction.schema.turns import in_turn, read_json
 from fibaction.wire.auth import AccessPolicy, check_token
 from fibaction.wire.frames import FrameMemory
 from fibaction.wire.settings import DEFAULT_LIMITS, Limits
 from fibaction.wire.tls_files import TlsFiles
 from fibaction.wire.transport import ConfiguredTransport, host_only
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction.words.plain_data import is_map
+from fibaction_transports._agents.robot_actions import AgentPolicy
 from fibaction_transports._http.application import HttpApplication
-from fibaction_transports._http.exchange import App, Exchange
+from fibaction_transports._http.exchange import App, Exchange, Message, Receive, Scope, Send
 from fibaction_transports._http.server import SPEAKS_TLS, HttpServer
 from fibaction_transports._socket_lines.host_transport import check_is_safe, listen_at
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import AgentHttpKeywords
+
+HOST = "127.0.0.1"
+"""The default host: this machine only."""
+SEND_BUFFER = 2**16
+"""Bytes of a connection that the system may hold: an agent that reads slowly must hold the executor
+while what it has not read is kept (`MOST_BYTES`), and little is lost with a connection."""
+MAX_PORT = 65535
+"""The largest port: a number of 16 bits."""
+LARGEST_REST = 2**14
+"""Bytes of a request without its documents."""
+PARSE_ERROR, INVALID_REQUEST = -32700, -32600
+"""Codes of errors of JSON-RPC."""
+LENGTH = b"content-length"
+Take: TypeAlias = Callable[[dict[str, Any]], Any]
+"""Takes the documents out of a request, and leaves small values in their places."""
 
 
 class AgentTransport(GatewayTransport, ConfiguredTransport):
@@ -70,15 +96,6 @@ class AgentGateway(Gateway):
     @property
     def names(self) -> list[str]:
         return self._names()
-
-
-HOST = "127.0.0.1"
-"""The default host: this machine only."""
-SEND_BUFFER = 2**16
-"""Bytes of a connection that the system may hold: an agent that reads slowly must hold the executor
-while what it has not read is kept (`MOST_BYTES`), and little is lost with a connection."""
-MAX_PORT = 65535
-"""The largest port: a number of 16 bits."""
 
 
 class AgentApplication(HttpApplication):
@@ -255,3 +272,71 @@ class AgentHttpTransport(AgentTransport):
                 f"{self.url} needs asyncio: the SDK of its protocol does not run on trio"
             )
         return self._access
+
+
+class RequestError(Exception):
+    """An error for a request that the SDK does not get."""
+
+    def __init__(self, code: int, text: str, request_id: object = None) -> None:
+        super().__init__(text)
+        self.code = code
+        self.request_id = request_id if isinstance(request_id, str | int) else None
+
+
+class DocumentApp:
+    """An application of an SDK, in whose scope `state["documents"]` is what `take` returns."""
+
+    def __init__(self, app: App, take: Take, error_status: int) -> None:
+        self._app = app
+        self._take = take
+        self._error_status = error_status
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["method"] == "POST":
+            body: bytes = (await receive())["body"]
+            try:
+                rest, documents = await in_turn(len(body), lambda _: split(body, self._take))
+            except RequestError as exc:
+                error = {"code": exc.code, "message": excerpt(str(exc))}
+                answer = {"jsonrpc": "2.0", "id": exc.request_id, "error": error}
+                await JSONResponse(answer, self._error_status)(scope, receive, send)
+                return
+            scope["state"]["documents"] = documents
+            others = [one for one in scope["headers"] if one[0].lower() != LENGTH]
+            scope["headers"] = [*others, (LENGTH, str(len(rest)).encode())]
+            receive = _after(rest, receive)
+        await self._app(scope, receive, send)
+
+
+def split(body: bytes, take: Take) -> tuple[bytes, Any]:
+    """Return what is left of a request, and its documents; None if it is not an object.
+
+    Raises:
+        RequestError: It is not JSON, or has much more than its documents.
+    """
+    try:
+        return _split(read_json(body), take)
+    except ValueError as exc:
+        raise RequestError(PARSE_ERROR, f"the request is not JSON: {exc}") from exc
+    except RecursionError as exc:
+        raise RequestError(PARSE_ERROR, "the request nests too deep") from exc
+
+
+def _split(request: Any, take: Take) -> tuple[bytes, Any]:
+    documents = take(request) if is_map(request) else None
+    rest = msgspec.json.encode(request)
+    if len(rest) > LARGEST_REST:
+        request_id = request.get("id") if is_map(request) else None
+        text = f"the request has {len(rest)} bytes beside its goal; {LARGEST_REST} are the limit"
+        raise RequestError(INVALID_REQUEST, text, request_id)
+    return rest, documents
+
+
+def _after(body: bytes, receive: Receive) -> Receive:
+    """Return a function that receives a body, and then what `receive` does."""
+    pieces = [{"type": "http.request", "body": body}]
+
+    async def received() -> Message:
+        return pieces.pop() if pieces else await receive()
+
+    return received

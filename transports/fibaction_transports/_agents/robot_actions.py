@@ -1,32 +1,97 @@
-"""`RobotActions`: the actions of some servers, by the names that agents have for them.
+"""`RobotActions`: the actions of some servers, by the names that agents have for them, and
+`AgentPolicy`: the rules for what an agent may do with them.
 
 Language models take letters, digits, `_` and `-`, and at most 64 of them. So `arm/pick` is
 `arm-pick`, and on a server that is called `left` it is `left-arm-pick`. A name stays for as long as
-its action is there. What cannot be used here, for example
-because its ROS type is not installed, is left out, and the log says so once.
+its action is there. What cannot be used here, for example because its ROS type is not installed, is
+left out, and the log says so once.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from hashlib import blake2b
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
+
+import msgspec
 
 from fibaction.border.abc import Connection, Notifier
 from fibaction.border.gateway import SeenServer, ServerGroup
 from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.border.settings import TransportSettings
 from fibaction.schema.payload import GoalCodec, PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import TransportError
-from fibaction_transports._agents.agent_policy import AgentPolicy
 
 MOST_ACTIONS = 200
 """Actions of one server that agents get; far fewer are too many for most models."""
 LONGEST = 64
 """Characters of a name."""
-
 logger = clean_logger("fibaction.agents")
+
+
+class AgentPolicy(TransportSettings, frozen=True, kw_only=True):
+    """The rules for what an agent may do: a language model, or a program that has one.
+
+    By default it may send goals to all actions, and the user is asked before each goal. A client
+    that cannot ask its user gets an error in place of the goal.
+
+    A pattern is the name of an action without a slash in front, in which `*` stands for any
+    characters: `arm/*`. With several servers, `left:arm/*` is for the server of that name only.
+
+    For example:
+
+        AgentPolicy(allow=("arm/*", "camera/look"), unasked=("camera/look",))
+    """
+
+    for_clients: ClassVar[bool] = False
+
+    allow: Sequence[str] = ("*",)
+    """Patterns of the actions that are shown to the agent; all others do not exist for it."""
+    unasked: Sequence[str] = ()
+    """Patterns of the actions whose goals are sent without a question to the user."""
+    read_only: bool = False
+    """Show the actions and their goals, and let nothing be sent or canceled."""
+    patience: float = 50.0
+    """Seconds after which a tool, or a message of A2A, is answered that its goal still runs. Many
+    clients give up after 60 s, and that would cancel the goal of a tool."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: The patience is not a number of seconds, or a pattern is empty.
+        """
+        for name in ("allow", "unasked"):  # an iterator would be used up by the check
+            msgspec.structs.force_setattr(self, name, tuple(getattr(self, name)))
+        if not 0 < self.patience < math.inf:
+            raise ValueError(
+                f"patience must be finite and more than 0 seconds, not {self.patience}"
+            )
+        if not all((*self.allow, *self.unasked)):
+            raise ValueError("a pattern is the name of an action, and cannot be empty")
+
+    def allows(self, server: str, action: str) -> bool:
+        """Return whether the agent may know the action."""
+        return _matches(self.allow, server, action)
+
+    def asks(self, server: str, action: str) -> bool:
+        """Return whether the user is asked before a goal of that action."""
+        return not _matches(self.unasked, server, action)
+
+
+def _matches(patterns: Iterable[str], server: str, action: str) -> bool:
+    name = action.lstrip("/")
+    for pattern in patterns:
+        wanted, colon, rest = pattern.rpartition(":")
+        if colon and wanted != server:
+            continue
+        if fnmatchcase(name, rest.lstrip("/")):
+            return True
+    return False
 
 
 class RobotAction:

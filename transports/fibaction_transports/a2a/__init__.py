@@ -9,7 +9,7 @@ from fibaction.words.extras import NeedsExtra
 
 with NeedsExtra("fibaction_transports.a2a", "fibaction[a2a]"):
     import_module("a2a")  # before what the SDK needs itself, so that its own name is told
-    from fibaction_transports._agents.agent_policy import AgentPolicy as AgentPolicy
+    from fibaction_transports._agents.robot_actions import AgentPolicy as AgentPolicy
     from fibaction_transports.a2a.a2a_http_transport import A2aHttpTransport as A2aHttpTransport
 
 __all__ = ["A2aHttpTransport", "AgentPolicy"]

@@ -17,8 +17,11 @@ from fibaction.border.gateway import Gateway, ServerGroup
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.auth import Peer
 from fibaction_transports._agents.agent_goals import AgentGoals
-from fibaction_transports._agents.agent_http_transport import AgentGateway, AgentHttpTransport
-from fibaction_transports._agents.document_app import DocumentApp
+from fibaction_transports._agents.agent_http_transport import (
+    AgentGateway,
+    AgentHttpTransport,
+    DocumentApp,
+)
 from fibaction_transports._http.exchange import App, Receive, Scope, Send
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.documents import ASKED, AskedRequest, asked_request, take_documents

@@ -28,8 +28,7 @@ from fibaction.border.peer_text import excerpt, shortened
 from fibaction.schema.payload import JsonCodec, to_json
 from fibaction.schema.template import Template
 from fibaction.types.action import ActionInfo
-from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.robot_actions import RobotAction, RobotActions
+from fibaction_transports._agents.robot_actions import AgentPolicy, RobotAction, RobotActions
 from fibaction_transports.a2a.documents import struct_of
 
 EXTENSION = "urn:fibaction:goals:1"

@@ -15,8 +15,8 @@ For example, in a test:
 from fibaction.words.extras import NeedsExtra
 
 with NeedsExtra("fibaction_transports.mcp", "fibaction[mcp]"):
-    from fibaction_transports._agents.agent_policy import AgentPolicy as AgentPolicy
-    from fibaction_transports.mcp.mcp_bridge import McpBridge as McpBridge
+    from fibaction_transports._agents.robot_actions import AgentPolicy as AgentPolicy
+    from fibaction_transports.mcp.mcp_transport import McpBridge as McpBridge
     from fibaction_transports.mcp.mcp_transport import McpHttpTransport as McpHttpTransport
     from fibaction_transports.mcp.mcp_transport import McpStdioTransport as McpStdioTransport
     from fibaction_transports.mcp.mcp_transport import McpTransport as McpTransport

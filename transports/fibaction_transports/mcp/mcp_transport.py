@@ -1,4 +1,5 @@
-"""`McpTransport`: the base of the transports of MCP, and both of them.
+"""`McpTransport`: the base of the transports of MCP, and both of them; and `McpBridge`, which is a
+server of MCP in a program that follows other servers.
 
 - `mcp+http://host:port` and `mcp+https://host:port` ("streamable HTTP").
 - `mcp+stdio://`: stdin and stdout of this process, which its client has started.
@@ -12,28 +13,31 @@ from __future__ import annotations
 import json
 import sys
 from abc import abstractmethod
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack, cast
 from urllib.parse import SplitResult
 
 import anyio
-from anyio import AsyncFile, to_thread
+from anyio import AsyncContextManagerMixin, AsyncFile, to_thread
 from anyio.abc import TaskStatus
 from mcp.server import Server
 from mcp.server.stdio import stdio_server
 from mcp.server.transport_security import TransportSecuritySettings
 
+from fibaction.border.abc import Transport
 from fibaction.border.event_loop import Background
 from fibaction.border.gateway import Gateway, ServerGroup
+from fibaction.observe.followed_servers import FollowedServers
 from fibaction.words.errors import TransportError
 from fibaction_transports._agents.agent_http_transport import (
+    LARGEST_REST,
     AgentGateway,
     AgentHttpTransport,
     AgentTransport,
+    DocumentApp,
 )
-from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.document_app import LARGEST_REST, DocumentApp
+from fibaction_transports._agents.robot_actions import AgentPolicy
 from fibaction_transports.mcp.arguments import take_arguments
 from fibaction_transports.mcp.tool_server import ToolServer
 
@@ -193,3 +197,67 @@ async def stdio_streams() -> AsyncGenerator[tuple[Any, Any], None]:
     """
     async with stdio_server(stdin=cast("AsyncFile[str]", _Lines())) as streams:
         yield streams
+
+
+class McpBridge(AsyncContextManagerMixin):
+    """A bridge from language models to actions, while its block lasts.
+
+    Each action is a tool, with the schema of its goals. `server` is the server of the official SDK,
+    to be run over stdio, HTTP or in memory. Goals whose tool a client cancels, or whose client goes
+    while it waits, are canceled; those of `send_goal` continue.
+
+    For example:
+
+        async with McpBridge("tcp://127.0.0.1:7400") as bridge:
+            async with mcp.Client(bridge.server) as client:
+                print(await client.list_tools())
+    """
+
+    def __init__(
+        self,
+        servers: str | Transport | Mapping[str, str | Transport],
+        policy: AgentPolicy | None = None,
+    ) -> None:
+        """Take the address of a server, or the addresses of several by their names.
+
+        Raises:
+            TransportError: An address cannot be used; the text says why.
+            ValueError: A name is not made of letters, digits and `_`.
+        """
+        named = servers if isinstance(servers, Mapping) else {"": servers}
+        self.policy = policy or AgentPolicy()
+        """The rules for what a model may do."""
+        self._group = FollowedServers(named)
+        self._tools = ToolServer(self._group, self.policy)
+
+    @property
+    def server(self) -> Server[Any]:
+        """The server of the SDK."""
+        return self._tools.server
+
+    @property
+    def tools(self) -> list[str]:
+        """The names of the tools, in the order of the list."""
+        return self._tools.names
+
+    @property
+    def problems(self) -> dict[str, str]:
+        """For each server that cannot be reached now, by its name, the reason."""
+        return {name: text for name, text in self._group.problems.items() if text}
+
+    @asynccontextmanager
+    async def __asynccontextmanager__(self) -> AsyncGenerator[Self, None]:
+        """Connect to the servers; those that are not there are waited for, in the background. Goals
+        that run there continue after the block.
+        """
+        async with self._group, self._tools:
+            yield self
+
+    async def run_stdio(self) -> None:
+        """Serve one client over stdin and stdout, until it closes stdin.
+
+        Raises:
+            RuntimeError: Something else serves over them already.
+        """
+        async with stdio_streams() as (messages, answers):
+            await self.server.run(messages, answers, self.server.create_initialization_options())

@@ -18,8 +18,7 @@ from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
 from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports._agents.agent_policy import AgentPolicy
-from fibaction_transports._agents.robot_actions import RobotAction, RobotActions
+from fibaction_transports._agents.robot_actions import AgentPolicy, RobotAction, RobotActions
 
 SEND, STATUS, CANCEL = "send_goal", "goal_status", "cancel_goal"
 """Names of the tools that a bridge has in addition to one for each action."""

@@ -53,7 +53,7 @@ from fibaction.border.abc import Notifier
 from fibaction.border.gateway import ServerGroup
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
-from fibaction_transports._agents.agent_policy import AgentPolicy
+from fibaction_transports._agents.robot_actions import AgentPolicy
 from fibaction_transports.mcp.answers import ToolError, find_goal, goal_answer, json_text
 from fibaction_transports.mcp.calls import ToolCalls
 from fibaction_transports.mcp.goal_tasks import EXTENSION, GoalTasks, UpdateTaskParams

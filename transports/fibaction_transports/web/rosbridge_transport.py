@@ -13,8 +13,8 @@ from fibaction.wire.frames import Framing
 from fibaction.words.errors import TransportError
 from fibaction_transports.web.http.handshake import ClientHandshake
 from fibaction_transports.web.rosbridge.client.endpoint import RosbridgeConnection
-from fibaction_transports.web.rosbridge.client.frames import RosbridgeClientFraming
 from fibaction_transports.web.rosbridge.client.link_opener import LinkKeeper, RosbridgeSettings
+from fibaction_transports.web.rosbridge.text_messages import RosbridgeClientFraming
 from fibaction_transports.web.websocket_transport import (
     HOST,
     WebSocketLineTransport,

@@ -15,7 +15,7 @@ from fibaction import ActionServer, GoalHandle, Limits, Peer, Permission, Reject
 from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.words.errors import ServerNotFound
 from fibaction.words.goals import CancelAnswer, GoalID
-from fibaction_transports.web.http import asgi_channel
+from fibaction_transports.web.http import application
 from fibaction_transports.web.rosbridge.server import translator
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.transports.hearing import Hearing, hearing
@@ -463,7 +463,7 @@ async def test_an_asgi_server_watches_the_line_itself(monkeypatch: pytest.Monkey
 
 
 async def test_a_client_that_takes_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(asgi_channel, "LEAVE", 0.05)
+    monkeypatch.setattr(application, "LEAVE", 0.05)
     with hearing() as wire:
         async with over_asgi(Robot().server, heartbeat=0.05) as served:
             async with served.connect() as client:

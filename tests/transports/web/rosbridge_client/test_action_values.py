@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.rosbridge.types.action_values`: values as rosbridge has them."""
+"""`fibaction_transports.web.rosbridge.action_values`: values as rosbridge has them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from fibaction.schema.payload import PayloadError
 from fibaction.types.action import ActionInfo
-from fibaction_transports.web.rosbridge.types.action_values import (
+from fibaction_transports.web.rosbridge.action_values import (
     LONGEST_LIST,
     ActionValues,
     MessageValues,

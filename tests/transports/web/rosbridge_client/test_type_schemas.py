@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.rosbridge.types.type_schemas`: JSON Schemas from rosapi's
+"""`fibaction_transports.web.rosbridge.type_definitions`: JSON Schemas from rosapi's
 definitions."""
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from fibaction.interfaces.ros_types import (
 )
 from fibaction.schema.json_schema import MAX_PARTS
 from fibaction.schema.payload import JsonCodec, PayloadError
-from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
-from fibaction_transports.web.rosbridge.types.type_schemas import schema_of
+from fibaction_transports.web.rosbridge.type_definitions import TypeDefinition, schema_of
 
 FIELDS = [
     # The field as rosapi of rosbridge_suite tells it, and its type and its default in ROS.

@@ -9,12 +9,16 @@ What the client says decides what it gets, at one address:
 
 WebSockets end later than requests: the `WireServer` says goodbye first, and the end of its task
 group, in which `_hold` is, cancels the rest.
+
+Over ASGI, the server of the application assembles the messages of a WebSocket, so its own limit is
+the one that counts before a message is here: 16 MiB with uvicorn and hypercorn.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 
 import anyio
@@ -25,7 +29,10 @@ from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.observe.metrics import Metrics
 from fibaction.observe.sources import Sources
+from fibaction.wire.channel import LEAVE, Channel
+from fibaction.wire.frames import framed
 from fibaction.wire.wire_server import WireServer
+from fibaction.words.errors import ConnectionLost
 from fibaction_transports._http.application import EVERY_METHOD, HttpApplication
 from fibaction_transports._http.exchange import (
     Exchange,
@@ -36,10 +43,9 @@ from fibaction_transports._http.exchange import (
     peer_of,
 )
 from fibaction_transports._http.problems import RETRY, Problem, problem_of
-from fibaction_transports.web.http.asgi_channel import AsgiChannel
 from fibaction_transports.web.http.handshake import SUBPROTOCOL
 from fibaction_transports.web.http.plain_paths import READ_ONLY, PlainPaths
-from fibaction_transports.web.http.websocket_frames import BinaryMessages
+from fibaction_transports.web.http.websocket_frames import BinaryMessages, SocketMessages
 from fibaction_transports.web.rest.handlers import RestInterface
 
 NOT_SERVING = "the server does not run: serve() it in the lifespan of the program"
@@ -185,3 +191,47 @@ async def _refuse_socket(scope: Scope, send: Send, problem: Problem) -> None:
         {"type": "websocket.http.response.start", "status": problem.status, "headers": headers}
     )
     await send({"type": "websocket.http.response.body", "body": problem.body})
+
+
+class AsgiChannel(Channel):
+    """One connection that an ASGI server has accepted."""
+
+    def __init__(self, receive: Receive, send: Send, peer: str, messages: SocketMessages) -> None:
+        self.peer = peer
+        self._receive = receive
+        self._send = send
+        self._messages = messages
+        self._is_lost = False
+
+    async def send(self, frames: Sequence[bytes]) -> None:
+        await self._write(bytes=framed(frames))
+
+    async def _write(self, **message: bytes | str) -> None:
+        try:
+            await self._send({"type": "websocket.send", **message})
+        except (OSError, RuntimeError) as exc:  # servers differ in it
+            self._is_lost = True
+            raise ConnectionLost(f"the connection to {self.peer} broke") from exc
+
+    async def receive(self) -> list[bytes]:
+        message = await self._receive()
+        if message["type"] == "websocket.disconnect":
+            self._is_lost = True
+            reason = excerpt(message.get("reason") or "")
+            code = message.get("code", "")
+            raise ConnectionLost(f"{self.peer} closed: {code} {reason}".rstrip())
+        data = message.get("bytes")
+        text = message.get("text") or ""
+        return self._messages.take(text if data is None else data, is_last=True)
+
+    def _closing(self) -> tuple[int, str]:
+        """Return the code and the reason of our close."""
+        return self._messages.code, ""
+
+    async def aclose(self) -> None:
+        self._messages.close()
+        if not self._is_lost:
+            code, reason = self._closing()
+            close = {"type": "websocket.close", "code": code, "reason": reason}
+            with anyio.move_on_after(LEAVE, shield=True), suppress(OSError, RuntimeError):
+                await self._send(close)

@@ -1,28 +1,36 @@
-"""`PlainPaths`: the paths that are only read: the files of the pages, and those for operators.
+"""`PlainPaths`: the paths that are only read: the files of the pages, those for operators, the list
+of servers at `/servers`, and their topics at `/topics`.
 
 `/healthz` and `/readyz` say that the server answers; they need no token, as the probes of an
 orchestrator have none. While the servers of its actions are away, a bridge is alive and not ready;
 `/readyz/arm` is about the actions of the namespace `arm` only.
 `/metrics` and `/recording` are there if the server has some, for clients that are let in.
 The console shows the recording.
+
+A topic is a stream of MessagePack, each piece after its length in four bytes, the highest first:
+the name of the type and the JSON Schema of the messages, then the messages. A client that is slow
+gets the newest messages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import aclosing
 from functools import partial
 from os import PathLike
+from typing import TypeAlias
 
 import anyio
+import msgspec
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused
 from fibaction.observe.metrics import Metrics
 from fibaction.observe.sources import Sources
+from fibaction.words.errors import TransportError
 from fibaction_transports._http.exchange import Exchange
 from fibaction_transports._http.problems import RETRY
 from fibaction_transports.web.http.assets import CLIENT, PAGE, Asset, all_assets
-from fibaction_transports.web.http.source_paths import Read, SourcePaths
 
 ALIVE, READY = "/healthz", "/readyz"
 METRICS = "/metrics"
@@ -32,6 +40,10 @@ READ_ONLY = "GET, HEAD, OPTIONS"
 """The methods of these paths, in the form of the header `Allow`."""
 PIECE = 2**16
 """Bytes of a recording that are read at once."""
+SERVERS, TOPICS = "/servers", "/topics"
+TOPIC_TYPE = "application/x-fibaction-topic"
+Read: TypeAlias = Callable[[Exchange], Awaitable[None]]
+"""Answers a request that reads."""
 
 
 class PlainPaths:
@@ -55,7 +67,6 @@ class PlainPaths:
         self._metrics = metrics
         self._recording = recording
         self._sources = sources
-        self._source_paths = SourcePaths(admit, sources)
         self._assets = {
             path: asset
             for path, asset in all_assets().items()
@@ -95,7 +106,13 @@ class PlainPaths:
             return partial(self._answer_metrics, self._metrics)
         if path == RECORDING and self._recording is not None:
             return partial(self._answer_recording, self._recording)
-        return self._source_paths.reader_of(path)
+        if path == SERVERS:
+            return self._answer_servers
+        if path == TOPICS:
+            return self._answer_topics
+        if path.startswith(f"{TOPICS}/") and self._sources is not None:
+            return partial(self._answer_topic, self._sources, path.removeprefix(f"{TOPICS}/"))
+        return None
 
     def _reached(self, scope: str) -> list[bool]:
         """Return whether what has a name can be reached: a server, the actions of a namespace, or
@@ -137,6 +154,32 @@ class PlainPaths:
             while exchange.method != "HEAD" and (piece := await file.read(PIECE)):
                 await exchange.write(piece)
             await exchange.end()
+
+    async def _answer_servers(self, exchange: Exchange) -> None:
+        self._admit(exchange)
+        infos = [] if self._sources is None else await self._sources.infos()
+        await exchange.answer(200, msgspec.json.encode(infos))
+
+    async def _answer_topics(self, exchange: Exchange) -> None:
+        self._admit(exchange)
+        topics = {} if self._sources is None else self._sources.topics()
+        await exchange.answer(200, msgspec.json.encode(topics))
+
+    async def _answer_topic(self, sources: Sources, topic: str, exchange: Exchange) -> None:
+        self._admit(exchange)
+        refusal = ""
+        async with exchange.until_gone(), aclosing(sources.messages(topic)) as pieces:
+            try:
+                async for piece in pieces:
+                    if not exchange.has_begun:
+                        exchange.begin_stream(200, TOPIC_TYPE)
+                    await exchange.write(len(piece).to_bytes(4, "big") + piece)
+            except TransportError as exc:
+                refusal = str(exc)
+        if exchange.has_begun:
+            await exchange.end()
+        elif refusal:
+            raise Refused(404, refusal)
 
 
 async def _answer_elsewhere(exchange: Exchange) -> None:

@@ -1,4 +1,5 @@
-"""The list of an action's goals as JSON: all of them, or pages.
+"""Goals as JSON: the list of an action's goals, whole or in pages, and searches for goals of all
+actions.
 
 A list may be long, and many clients may ask for it at once. It is made in slices: one slice of one
 list, for any client, in each turn of the event loop.
@@ -8,6 +9,9 @@ page, so it holds also when that goal is forgotten meanwhile.
 
 With `past=true` the list also has the goals that the server has forgotten, and that its store has
 in its history. It always comes in pages then, each with no more of the history than it needs.
+
+The answer to a search is one page, in the order that the client asks for, with the number of all
+goals that were found, those of the histories included.
 """
 
 from __future__ import annotations
@@ -26,15 +30,19 @@ import msgspec
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
+from fibaction.feeds.goal_search import GoalSearch
+from fibaction.words.errors import ServerFailed, TransportError
 from fibaction.words.goal_query import (
     ANY_GOAL,
     MOST_PAST,
+    SORTS,
     STATUSES,
     GoalQuery,
     Labels,
     PastPage,
     label_of,
     time_of,
+    words_of,
 )
 from fibaction.words.goals import NO_GOAL, GoalID, GoalInfo
 from fibaction.words.meta import MAX_KEYS
@@ -50,6 +58,14 @@ Query: TypeAlias = Mapping[str, list[str]]
 """The parameters of a request, each with its values."""
 
 _PAGE_CURSOR = re.compile(r"(\d{1,19})\.([0-9a-f]{32})", re.ASCII)
+DEFAULT_LIMIT = 100
+"""Goals of a page if nothing else is said."""
+LARGEST_OFFSET = 10_000_000
+"""Goals before a page, at most: more than any server has."""
+SORT_WORDS = tuple(f"{sign}{name}" for name in SORTS for sign in ("", "-"))
+"""The words for an order; with a dash in front, from the last to the first."""
+SEARCHED_AT_ONCE = 20
+"""Actions that are asked at the same time."""
 
 
 class Page(NamedTuple):
@@ -278,3 +294,57 @@ def _pauses(turn: anyio.Lock) -> Callable[[], Awaitable[None]]:
             ends = perf_counter() + SLICE
 
     return pause
+
+
+class Search(NamedTuple):
+    """The search of a client."""
+
+    actions: frozenset[str]
+    """The names of the actions; empty for all."""
+    goals: GoalSearch
+
+
+def search_of(query: Query, now: int) -> Search:
+    """Return the search that the parameters of a request name.
+
+    Raises:
+        Refused: One of them is wrong.
+    """
+    one = {name: values[-1] for name, values in query.items()}
+    page = page_of(query, now)
+    wanted = page.wanted._replace(words=words_of(one.get("search", "")))
+    sort, offset = one.get("sort", "-accepted"), one.get("offset", "0")
+    if sort not in SORT_WORDS:
+        raise Refused(400, f"sort is one of {', '.join(SORTS)}; with - in front, the last first")
+    if not (offset.isascii() and offset.isdecimal() and int(offset[:9]) <= LARGEST_OFFSET):
+        raise Refused(400, f"offset is a number of goals between 0 and {LARGEST_OFFSET}")
+    goals = GoalSearch(
+        *(wanted, sort.removeprefix("-")),
+        descending=sort.startswith("-"),
+        offset=int(offset[:9]),
+        limit=page.limit or DEFAULT_LIMIT,
+        parent=page.parent,
+    )
+    return Search(frozenset(query.get("action", ())), goals)
+
+
+async def found_by(search: GoalSearch, endpoints: Iterable[Endpoint]) -> bytes:
+    """Return the page of a search as JSON. Servers that cannot be asked are named in it."""
+    away: list[str] = []
+
+    async def ask(endpoint: Endpoint) -> None:
+        try:
+            async with limit:
+                await search.ask(endpoint)
+        except (TransportError, ServerFailed):
+            away.append(endpoint.info.name)
+
+    limit = anyio.CapacityLimiter(SEARCHED_AT_ONCE)
+    async with anyio.create_task_group() as tasks:
+        for endpoint in endpoints:
+            if endpoint.absence is None:
+                tasks.start_soon(ask, endpoint)
+            else:
+                away.append(endpoint.info.name)
+    goals = [{"action": action, **members_of(info)} for action, info in await search.page()]
+    return msgspec.json.encode({"total": search.total, "goals": goals, "away": sorted(away)})

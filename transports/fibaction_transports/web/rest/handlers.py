@@ -47,21 +47,33 @@ from fibaction.words.goal_query import cancel_stamp_of
 from fibaction.words.goals import CancelAnswer, CancelCode, GoalID
 from fibaction.words.meta import trace_meta, with_labels
 from fibaction_transports._http.exchange import Exchange, tag_of
-from fibaction_transports.web.rest.event_stream import LONGEST_WAIT, tell_goal, wait_for_end
-from fibaction_transports.web.rest.goal_events import Cursor, GoalEvents, cursor_of
+from fibaction_transports.web.rest.actions import (
+    LARGEST_CHANGE,
+    ONE_DAY,
+    KnownStatistics,
+    all_described,
+    wanted_in,
+)
+from fibaction_transports.web.rest.goal_events import (
+    LONGEST_WAIT,
+    Cursor,
+    GoalEvents,
+    cursor_of,
+    tell_goal,
+    wait_for_end,
+)
 from fibaction_transports.web.rest.goal_list import (
     chosen,
     facts_of,
+    found_by,
     labels_in,
     listed,
     members_of,
     page_of,
     past_of,
     refusing,
+    search_of,
 )
-from fibaction_transports.web.rest.goal_search import found_by, search_of
-from fibaction_transports.web.rest.intakes import LARGEST_CHANGE, all_described, wanted_in
-from fibaction_transports.web.rest.known_statistics import ONE_DAY, KnownStatistics
 from fibaction_transports.web.rest.openapi import describe
 from fibaction_transports.web.rest.routes import (
     FILTERS,

@@ -17,9 +17,9 @@ from fibaction.words.goal_query import CANCEL_TEXT, LABEL_TEXT, STATUSES, TIME_T
 from fibaction.words.intake import Intake
 from fibaction.words.meta import MAX_KEYS
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.web.rest.event_stream import LONGEST_WAIT
-from fibaction_transports.web.rest.goal_search import LARGEST_OFFSET, SORT_WORDS
-from fibaction_transports.web.rest.intakes import WantedIntake
+from fibaction_transports.web.rest.actions import WantedIntake
+from fibaction_transports.web.rest.goal_events import LONGEST_WAIT
+from fibaction_transports.web.rest.goal_list import LARGEST_OFFSET, SORT_WORDS
 from fibaction_transports.web.rest.openapi_schemas import (
     SHARED,
     Names,

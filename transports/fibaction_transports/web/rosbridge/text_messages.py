@@ -1,20 +1,32 @@
-"""Fragments: long messages in pieces, both ways."""
+"""The messages of rosbridge over WebSocket: in pieces and fragments, and as frames of a client.
+
+A frame of a client is the text of one message. Three frames are signs: `OPENED` is received first,
+once the server has accepted the WebSocket; `PING` is sent as a ping; `INVALID` is sent last, after
+a message of the server that cannot be read, and goes into the code of the close.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+import sys
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 import msgspec
+from wsproto.events import Event, Ping, TextMessage
 
+from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.frames import FrameMemory
+from fibaction.wire.link import PING
 from fibaction.words.errors import LimitReached, ProtocolError
+from fibaction_transports.web.http import websocket_frames
+from fibaction_transports.web.http.handshake import ClientHandshake
 from fibaction_transports.web.http.websocket_frames import (
     NORMAL,
     TOO_BIG,
     UNSUPPORTED,
     SocketMessages,
+    WebSocketFraming,
 )
 from fibaction_transports.web.rosbridge.operations import ClientID, Fragment
 
@@ -23,6 +35,10 @@ LEAST_FRAGMENT = 1024
 BINARY = "it sent a binary message: rosbridge has JSON in text messages here"
 OVERHEAD = 100
 """Bytes that a fragment costs next to its own text."""
+OPENED = b""
+"""The frame that says that the server has accepted the WebSocket."""
+INVALID = b"\0"
+"""The frame that says that a message of the server is invalid. It is not JSON, as messages are."""
 
 
 def size_of(text: str) -> int:
@@ -168,3 +184,32 @@ def in_fragments(text: str, message_id: ClientID, size: int | None) -> list[str]
         ).decode()
         for num in range(total)
     ]
+
+
+def partial_messages(limit: int) -> PartialMessages:
+    """Return what holds the incomplete messages of one server, of at most `limit` bytes."""
+    return PartialMessages(limit, FrameMemory(ByteBudget(sys.maxsize)))
+
+
+class RosbridgeClientFraming(WebSocketFraming):
+    """Text messages of WebSocket, one operation in each."""
+
+    def __init__(self, peer: str, limit: int, handshake: ClientHandshake) -> None:
+        """Accept messages of at most `limit` bytes."""
+        super().__init__(peer, TextMessages(partial_messages(limit)), handshake)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        is_new = self._handshake is not None
+        frames = super().feed(data)
+        return [OPENED, *frames] if is_new and self._handshake is None else frames
+
+    def _message(self, frames: Sequence[bytes]) -> bytes:
+        return b"".join(map(self._socket.send, filter(None, map(self._event, frames))))
+
+    def _event(self, frame: bytes) -> Event | None:
+        """Return what is sent for a frame; None for a sign that changes the close only."""
+        if frame == INVALID:
+            if self._messages.code == NORMAL:  # or the text itself was not one
+                self._messages.code = websocket_frames.INVALID
+            return None
+        return Ping() if frame == PING else TextMessage(data=frame.decode())

@@ -31,6 +31,7 @@ from fibaction.words.goals import (
     digest_of,
 )
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rosbridge.action_values import ActionValues, arguments_text
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed
 from fibaction_transports.web.rosbridge.client.link_opener import LinkKeeper
@@ -40,7 +41,6 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     cancel_arguments,
     ros_name,
 )
-from fibaction_transports.web.rosbridge.types.action_values import ActionValues, arguments_text
 
 LOOK_PAUSE = 0.5
 """Seconds between two looks for a server that is not there."""

@@ -29,8 +29,8 @@ from fibaction.words.errors import (
 )
 from fibaction.words.goals import GoalID, Outcome, digest_of
 from fibaction.words.statuses import GoalStatus
+from fibaction_transports.web.rosbridge.action_values import ActionValues
 from fibaction_transports.web.rosbridge.operations import ActionFeedback, ActionResult
-from fibaction_transports.web.rosbridge.types.action_values import ActionValues
 
 NO_SERVER = "No action server available"
 """The text of a rosbridge server about an action that is not served."""

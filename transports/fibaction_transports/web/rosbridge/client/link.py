@@ -42,7 +42,6 @@ from fibaction.words.errors import (
     TransportError,
     copy_of,
 )
-from fibaction_transports.web.rosbridge.client.frames import INVALID, OPENED, partial_messages
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.operations import (
     ActionFeedback,
@@ -56,6 +55,7 @@ from fibaction_transports.web.rosbridge.operations import (
     Wrong,
     read_from_server,
 )
+from fibaction_transports.web.rosbridge.text_messages import INVALID, OPENED, partial_messages
 
 MOST_NOTES = 20
 """Different lines about the server that one connection writes into the log."""

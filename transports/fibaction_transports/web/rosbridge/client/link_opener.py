@@ -39,8 +39,7 @@ from fibaction.words.goals import GoalID
 from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.client.goal import OutgoingGoal
 from fibaction_transports.web.rosbridge.client.link import CallFailed, NoAnswer, ServerLink
-from fibaction_transports.web.rosbridge.types.type_details import TypeDefinition
-from fibaction_transports.web.rosbridge.types.type_schemas import schema_of
+from fibaction_transports.web.rosbridge.type_definitions import TypeDefinition, schema_of
 
 MOST_TYPES = 1000
 """Types whose schemas are kept. Beyond, the oldest is dropped, since a server may name new types

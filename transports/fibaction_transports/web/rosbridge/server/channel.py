@@ -19,8 +19,7 @@ from fibaction.wire.wire_server import WireServer
 from fibaction.words.errors import LimitReached, ProtocolError
 from fibaction.words.goals import GoalID
 from fibaction_transports._http.exchange import Receive, Send
-from fibaction_transports.web.http.application import SocketGuest
-from fibaction_transports.web.http.asgi_channel import AsgiChannel
+from fibaction_transports.web.http.application import AsgiChannel, SocketGuest
 from fibaction_transports.web.http.handshake import ServerHandshake
 from fibaction_transports.web.http.websocket_frames import (
     INVALID,
@@ -28,8 +27,8 @@ from fibaction_transports.web.http.websocket_frames import (
     TRY_AGAIN,
     WebSocketFraming,
 )
-from fibaction_transports.web.rosbridge.fragments import TextMessages
 from fibaction_transports.web.rosbridge.server.translator import RosbridgeTranslator
+from fibaction_transports.web.rosbridge.text_messages import TextMessages
 
 AWAY, PROTOCOL, FORBIDDEN, FAILED = 1001, 1002, 1008, 1011
 """Codes of a close, of RFC 6455."""

@@ -23,12 +23,12 @@ from fibaction.schema.payload import PayloadError
 from fibaction.wire.messages import Ended, GoalChanged
 from fibaction.words.goals import GoalID
 from fibaction.words.statuses import GoalStatus
-from fibaction_transports.web.rosbridge.fragments import in_fragments
+from fibaction_transports.web.rosbridge.action_values import values_text
 from fibaction_transports.web.rosbridge.operations import (
     ClientID,
     FragmentSize,
 )
-from fibaction_transports.web.rosbridge.types.action_values import values_text
+from fibaction_transports.web.rosbridge.text_messages import in_fragments
 
 _encode = msgspec.json.Encoder().encode
 

@@ -21,7 +21,7 @@ from fibaction.words.goals import CancelAnswer, CancelCode, GoalID, GoalInfo
 from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.operations import Arguments
-from fibaction_transports.web.rosbridge.types.type_details import definitions
+from fibaction_transports.web.rosbridge.type_definitions import definitions
 
 CANCEL_SUFFIX = "/_action/cancel_goal"
 """The end of the name of the service that cancels goals of an action."""

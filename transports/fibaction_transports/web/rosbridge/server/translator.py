@@ -61,7 +61,7 @@ from fibaction.wire.messages import (
 from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import ProtocolError, RejectionCode
 from fibaction.words.goals import GoalID
-from fibaction_transports.web.rosbridge.fragments import PartialMessages, size_of
+from fibaction_transports.web.rosbridge.action_values import GoalArguments
 from fibaction_transports.web.rosbridge.operations import (
     Auth,
     CallService,
@@ -86,7 +86,7 @@ from fibaction_transports.web.rosbridge.server.rosapi import (
     short_type,
 )
 from fibaction_transports.web.rosbridge.server.topics import Topics
-from fibaction_transports.web.rosbridge.types.action_values import GoalArguments
+from fibaction_transports.web.rosbridge.text_messages import PartialMessages, size_of
 
 CLIENT_HEARTBEAT = 5.0
 """The heartbeat of a client, in seconds: it is dead after four of them without a pong."""
