@@ -19,14 +19,15 @@ from fibaction.schema.check import (
     only_value,
     text_steps,
 )
-from fibaction.schema.combinations import COMBINATIONS, false
 from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.keywords import (
+    COMBINATIONS,
     COMPARISONS,
     IN_JSON,
     PYTHON_TYPES,
     Comparison,
     bytes_of,
+    false,
     in_json,
     is_of_type,
     size_in_bytes,

@@ -25,7 +25,7 @@ from anyio import to_thread
 
 from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import StoredGoal
-from fibaction.stores._history_table import past_in
+from fibaction.stores._history import past_in
 from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import HEADER
 from fibaction.words.errors import StoreError

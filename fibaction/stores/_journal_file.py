@@ -1,6 +1,6 @@
 """The file of a journal: a database of SQLite, used by one thread of one process.
 
-The journal is one table. A history is another one, which `_history_table` writes by `add_with`.
+The journal is one table. A history is another one, which `_history` writes by `add_with`.
 """
 
 from __future__ import annotations

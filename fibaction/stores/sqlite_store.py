@@ -124,7 +124,7 @@ class SqliteStore(GoalStore):
             from fibaction.stores._writer import Writer
 
             return Writer(self._path, self._sync)
-        from fibaction.stores._history_writer import HistoryWriter
+        from fibaction.stores._history import HistoryWriter
 
         return HistoryWriter(self._path, self._sync, self._history)
 
@@ -139,7 +139,7 @@ class SqliteStore(GoalStore):
             from fibaction.stores._writer import SqliteJournal
 
             return SqliteJournal(action, writer, claim, goals)
-        from fibaction.stores._history_writer import HistoryJournal, HistoryWriter
+        from fibaction.stores._history import HistoryJournal, HistoryWriter
 
         assert isinstance(writer, HistoryWriter)
         return HistoryJournal(action, writer, claim, goals)

@@ -14,6 +14,7 @@ import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import PurePath
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
@@ -21,11 +22,9 @@ import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
-from fibaction.types import paths
 from fibaction.types.base import Encoding
-from fibaction.types.paths import is_path_class
 from fibaction.types.ros_classes import is_message_class, message_class
-from fibaction.types.schemas import plain_path, schema_of
+from fibaction.types.schemas import is_path_class, path_of, path_schema, plain_path, schema_of
 
 _encode = msgspec.msgpack.Encoder(enc_hook=plain_path).encode
 
@@ -51,11 +50,14 @@ class MsgspecEncoding(Encoding):
         self.decode = msgspec.msgpack.Decoder(message_type).decode
         self._schema: Callable[[Any], dict[str, Any]] = schema_of
         if hooked:
-            hooks: Any = paths
-            if not all(map(is_path_class, hooked)):
-                from fibaction.types import ros_messages as hooks
-            self.decode = hooks.decoder(message_type)
-            self._schema = hooks.schema
+            if all(map(is_path_class, hooked)):
+                self.decode = msgspec.msgpack.Decoder(message_type, dec_hook=path_of).decode
+                self._schema = partial(schema_of, describe=path_schema)
+            else:
+                from fibaction.types import ros_messages
+
+                self.decode = ros_messages.decoder(message_type)
+                self._schema = ros_messages.schema
 
     def schema(self) -> dict[str, Any]:
         try:

@@ -18,11 +18,10 @@ import msgspec
 from msgspec import inspect
 
 from fibaction._runtime.text import excerpt
-from fibaction.types import paths
 from fibaction.types.arrays import plain_array
 from fibaction.types.base import Encoding
 from fibaction.types.ros_classes import is_message, is_message_class, message_class, ros_type_of
-from fibaction.types.schemas import plain_path, schema_of
+from fibaction.types.schemas import path_of, path_schema, plain_path, schema_of
 from fibaction.words.errors import ProtocolError
 from fibaction.words.plain_data import is_list, is_map
 
@@ -105,7 +104,7 @@ def _made(kind: Any, data: Any) -> Any:
         ValueError: The data are not such a message; msgspec adds where they are.
     """
     if not is_message_class(kind):
-        return paths.made(kind, data)
+        return path_of(kind, data)
     try:
         return message_class(kind).decode(encode(data))
     except ProtocolError as exc:
@@ -129,7 +128,7 @@ def _described(definitions: dict[str, Any], kind: Any) -> dict[str, Any]:
     What it refers to is put into `definitions`, under names that no other type has.
     """
     if not is_message_class(kind):
-        return paths.described(kind)
+        return path_schema(kind)
     text = msgspec.json.encode(schema_of(message_class(kind).struct))
     prefix = ros_type_of(kind).replace("/", ".") + "."
     made: dict[str, Any] = msgspec.json.decode(

@@ -8,6 +8,8 @@
 - The formats of times that may be without an offset from UTC, so that a form shows a picker, and
   the check names the field. `iso-date-time` and `iso-time`, with an offset or without, are names of
   `ajv-formats`; `date-time-local` is one of the OpenAPI registry.
+
+A path of `pathlib` is text in a message, and has the format `path`.
 """
 
 from __future__ import annotations
@@ -159,3 +161,28 @@ _WITH_FIELDS = (
     inspect.TypedDictType,
     inspect.NamedTupleType,
 )
+
+
+def is_path_class(kind: Any) -> bool:
+    """Return whether a class is one of `pathlib`."""
+    return isinstance(kind, type) and issubclass(kind, PurePath)
+
+
+def path_of(kind: Any, data: Any) -> Any:
+    """Make a path of its text; data of the type `object` stay as they are.
+
+    Raises:
+        ValueError: The data are not text; msgspec adds where they are.
+    """
+    if not is_path_class(kind):
+        return data
+    if not isinstance(data, str):
+        raise ValueError(f"Expected `str`, got `{type(data).__name__}`")
+    return kind(data)
+
+
+def path_schema(kind: Any) -> dict[str, Any]:
+    """Return the JSON Schema of a path; of another class, none."""
+    if not is_path_class(kind):
+        raise NotImplementedError
+    return {"type": "string", "format": "path"}

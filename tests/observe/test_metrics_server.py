@@ -10,8 +10,7 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, TransportError
-from fibaction.observe.metrics import CONTENT_TYPE, Metrics
-from fibaction.observe.metrics_formats import OPENMETRICS_CONTENT_TYPE
+from fibaction.observe.metrics import CONTENT_TYPE, OPENMETRICS_CONTENT_TYPE, Metrics
 from fibaction.observe.metrics_server import STUCK, serve_metrics
 from tests.support.fibonacci import FIBONACCI, fibonacci
 

@@ -20,8 +20,14 @@ from fibaction import (
 )
 from fibaction.client.events import GoalFeedback
 from fibaction.observe import monitor as monitor_module
-from fibaction.observe.monitor import ActionSnapshot, AnyClient, GoalKey, GoalSnapshot, Monitor
-from fibaction.observe.monitor_records import Rate
+from fibaction.observe.monitor import (
+    ActionSnapshot,
+    AnyClient,
+    GoalKey,
+    GoalSnapshot,
+    Monitor,
+    Rate,
+)
 from tests.cli.served import Altered, Heard, Served, counter, look_often
 from tests.support.matching import End
 

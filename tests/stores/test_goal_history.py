@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from fibaction import GoalHistory, GoalStatus, Sender, SqliteStore, StoreError
 from fibaction.border.goal_store import StoredGoal
-from fibaction.stores import _history_table
+from fibaction.stores import _history
 from fibaction.stores._copy import stored_goals
-from fibaction.stores._history_table import HistoryTable
+from fibaction.stores._history import HistoryTable
 from fibaction.stores._journal_file import JournalFile
 from fibaction.testing.contract.stores import Kept, a_goal, after_end, opened
 from fibaction.words.goal_query import GoalQuery, PastPage
@@ -40,7 +40,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A clock that the history reads, which stands at 100 s."""
     clock = SimpleNamespace(now=100 * SECOND)
     clock.time_ns = lambda: clock.now
-    monkeypatch.setattr(_history_table, "time", clock)
+    monkeypatch.setattr(_history, "time", clock)
     return clock
 
 
@@ -181,7 +181,7 @@ async def test_goals_whose_time_is_over_are_not_shown_and_then_deleted(
 async def test_what_is_out_of_new_bounds_is_deleted_at_the_start(
     path: Path, clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, bounds: GoalHistory
 ) -> None:
-    monkeypatch.setattr(_history_table, "DELETED", 3)
+    monkeypatch.setattr(_history, "DELETED", 3)
     async with opened(SqliteStore(path, history=FOREVER)) as kept:
         for number in range(1, 21):
             await run(kept, number, ended_at=(80 + number) * SECOND - 1)
@@ -241,7 +241,7 @@ def test_the_pages_of_a_list_are_those_of_all_goals_that_are_wanted(
     found: list[GoalInfo] = []
     after = None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_history_table, "SCANNED", scanned)
+        patch.setattr(_history, "SCANNED", scanned)
         with closing(JournalFile(str(path), "normal")) as file:
             table = HistoryTable(file, FOREVER)
             if goals:
@@ -264,7 +264,7 @@ def test_the_pages_of_a_list_are_those_of_all_goals_that_are_wanted(
 async def test_a_page_is_filled_from_several_parts(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_history_table, "SCANNED", 2)
+    monkeypatch.setattr(_history, "SCANNED", 2)
     async with opened(SqliteStore(path, history=FOREVER)) as kept:
         for number in range(1, 10):
             await run(kept, number, status=ENDS[number % 3 == 0])

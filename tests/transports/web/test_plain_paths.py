@@ -8,8 +8,7 @@ import anyio
 import pytest
 
 from fibaction import connect, serve
-from fibaction.observe.metrics import CONTENT_TYPE, Metrics
-from fibaction.observe.metrics_formats import OPENMETRICS_CONTENT_TYPE
+from fibaction.observe.metrics import CONTENT_TYPE, OPENMETRICS_CONTENT_TYPE, Metrics
 from fibaction_transports.web import HttpTransport
 from tests.support.fibonacci import FIBONACCI, Goal
 from tests.transports.tcp.servers import new_server

@@ -64,7 +64,7 @@ def test_arrays_of_numbers_become_those_of_ros() -> None:
         ),
         (
             lambda: to_ros(XYZ(), XYZ),
-            "expected a class of ROS, got `<class 'tests.types.test_ros_conversion.XYZ'>`",
+            "expected a class of ROS, got `<class 'tests.test_ros_types.XYZ'>`",
         ),
     ],
 )
