@@ -34,7 +34,6 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.watchers import NO_SPAN
 from fibaction.observe.otel import Tracing
 from fibaction.words.errors import ConnectionLost
 from fibaction.words.meta import DETACHED
@@ -274,16 +273,6 @@ def test_the_first_end_of_a_span_counts(spans: Spans) -> None:
 
     assert facts(spans.named(CLIENT))["error.type"] == "ConnectionLost"
     assert events(spans.named(CLIENT)) == []
-
-
-def test_a_client_without_tracing_notes_nothing() -> None:
-    nothing: Any = None
-    NO_SPAN.accepted(nothing)
-    NO_SPAN.failed(ValueError())
-    NO_SPAN.ended(Outcome(GoalStatus.SUCCEEDED))
-    NO_SPAN.left(nothing)
-
-    assert NO_SPAN.meta is None
 
 
 def test_a_blocking_client_has_spans_below_that_of_its_thread(spans: Spans) -> None:

@@ -7,40 +7,8 @@ import pytest
 from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
 
 
-@pytest.mark.parametrize(
-    ("reference", "found"),
-    [
-        ("#", None),
-        ("", None),
-        ("#/$defs/a", {"title": "a"}),
-        ("#/$defs/b~1c~0d", {"title": "b"}),
-        ("#/$defs/50%25", {"title": "c"}),
-        ("#/$defs/a%22b", {"title": "d"}),
-        ("#/prefixItems/1", False),
-    ],
-)
-def test_a_reference_is_a_path_within_the_schema(reference: str, found: Any) -> None:
-    root = {
-        "$defs": {
-            "a": {"title": "a"},
-            "b/c~d": {"title": "b"},
-            "50%": {"title": "c"},
-            'a"b': {"title": "d"},
-        },
-        "prefixItems": [True, False],
-    }
-    schema = JsonSchema(root)
-
-    assert schema.target(reference) is (root if found is None else schema.target(reference))
-    assert schema.target(reference) == (root if found is None else found)
-
-
 def test_definitions_that_nothing_refers_to_are_not_read() -> None:
     JsonSchema({"$defs": {"a": {"$ref": "http://h/"}, "b": 5}, "default": {"$ref": "http://h/"}})
-
-
-def test_a_recursive_schema_is_read_once() -> None:
-    JsonSchema({"properties": {"next": {"$ref": "#"}, "also": {"$ref": "#/properties/next"}}})
 
 
 def test_a_schema_may_nest_to_any_depth() -> None:

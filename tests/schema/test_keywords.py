@@ -16,7 +16,6 @@ NAN = float("nan")
     ("keyword", "expected", "right", "wrong"),
     [
         ("type", "integer", [1, 2.0, 10**400], [1.5, True, "1", float("inf")]),
-        ("type", ["null", "boolean"], [None, True], [0]),
         ("type", "unheard of", [None, "a"], []),
         ("minimum", 2, [2, 3, "a", NAN, True], [1, 1.5]),
         ("maximum", 2.5, [2, "a", NAN], [3, 10**400]),
@@ -26,8 +25,6 @@ NAN = float("nan")
         ("multipleOf", 5e-324, [10**400], [NAN]),
         ("multipleOf", 0.01, [19.99, 0.3, -19.99, 1e22], [19.995, 0.001]),
         ("multipleOf", 0.5, [1e308], [0.4]),
-        ("minLength", 2, ["ab", 1], ["a"]),
-        ("maxLength", 2, ["ab", [1, 2, 3]], ["abc"]),
         ("format", "date", ["2026-01-31", 5], ["soon", "\ud800"]),
         ("format", "duration", ["PT1S", "P2W", "P1M", "1 day, 1:00:00"], ["P", "PT", "soon"]),
         ("format", "date-time", ["2025-01-01T00:00Z", "2025-01-01T00:00:00"], ["12:00"]),
@@ -39,13 +36,6 @@ NAN = float("nan")
         ("format", "regex", ["("], []),
         ("contentEncoding", "base64", ["aGk=", 5], ["?", "a", "ü"]),
         ("contentEncoding", "gzip", ["?"], []),
-        ("minItems", 1, [[1], "", {}], [[]]),
-        ("uniqueItems", True, [[1, True, "1", None], "aa", [[1], [2]]], [[1, 1.0], [{"a": 1}] * 2]),
-        ("uniqueItems", False, [[1, 1]], []),
-        ("maxItems", 1, [[1], "ab"], [[1, 2]]),
-        ("minProperties", 1, [{"a": 1}, ""], [{}]),
-        ("maxProperties", 1, [{"a": 1}], [{"a": 1, "b": 2}]),
-        ("required", ["a"], [{"a": 1}, 5], [{}]),
     ],
 )
 def test_a_value_is_compared_as_the_keyword_says(

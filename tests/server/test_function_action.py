@@ -462,16 +462,6 @@ def test_a_method_cannot_be_served_without_its_object() -> None:
         ActionServer(Rover.move)
 
 
-async def test_a_result_of_another_type_is_told() -> None:
-    @action("drive")
-    async def wrong(meters: int) -> str:
-        return meters  # type: ignore[return-value]  # pyright: ignore[reportReturnType]  # that is wrong
-
-    outcome = await outcome_of(wrong, 1)
-    text = "wrong() returned an int, and its result is str"
-    assert outcome == End(GoalStatus.ABORTED, None, text)
-
-
 # Feedback and result of one type
 
 

@@ -52,33 +52,6 @@ async def test_many_goals_are_forgotten_in_several_turns_before_the_rest_is_list
     assert [info.status for info in told if info is not None][21:] == [GoalStatus.UNKNOWN] * 7
 
 
-@pytest.mark.promise("RESULT-3")
-@in_virtual_time()
-async def test_an_outcome_is_kept_for_its_time_to_the_moment() -> None:
-    async with ActionServer(FIBONACCI, fibonacci, result_timeout=3600) as server:
-        early = await server.send_goal(GoalID.random(), packed(1))
-        await early.outcome()
-        await anyio.sleep(1800)
-        late = await server.send_goal(GoalID.random(), packed(1))
-        await late.outcome()
-        statuses = await server.status()
-        await anyio.sleep(1799)
-        assert (await server.get_result(early.goal_id)).status is GoalStatus.SUCCEEDED
-        await anyio.sleep(1)
-        assert (await server.get_result(early.goal_id)).status is GoalStatus.UNKNOWN
-        assert (await server.get_result(late.goal_id)).status is GoalStatus.SUCCEEDED
-        await anyio.sleep(1800)
-        assert (await server.get_result(late.goal_id)).status is GoalStatus.UNKNOWN
-        await anyio.sleep(1)
-        told = [await statuses.receive() for _ in range(4)]
-    assert [info.status for info in told if info is not None] == [
-        GoalStatus.SUCCEEDED,
-        GoalStatus.SUCCEEDED,
-        GoalStatus.UNKNOWN,
-        GoalStatus.UNKNOWN,
-    ]
-
-
 @in_virtual_time()
 async def test_what_was_sent_can_be_read_as_long_as_the_result_and_gives_way_before_it() -> None:
     async def sent(goal_id: GoalID) -> bytes | None:

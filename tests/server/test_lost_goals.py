@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 import pytest
@@ -32,6 +34,7 @@ from tests.server.painting import (
     ID,
     PAINT,
     Painting,
+    Server,
     client_of,
     server_with,
     stored,
@@ -215,55 +218,58 @@ async def test_a_goal_that_is_taken_while_its_cancel_is_written_is_not_in_the_an
                 await other.result()
 
 
+@asynccontextmanager
+async def running(clean_up: float) -> AsyncGenerator[Running, None]:
+    """Run a goal that another server can take, and whose clean-up takes so many seconds."""
+    store, executor = MemoryStore(), CleanUp(clean_up)
+    async with server_with(store, executor, shutdown_timeout=5) as server:
+        goal = await client_of(server).send_goal(1000)
+        await anyio.sleep(1)
+        yield Running(server, executor, lambda: store.take("paint", goal.goal_id))
+
+
+class Running(NamedTuple):
+    """A server with a goal that runs."""
+
+    server: Server
+    executor: CleanUp
+    take: Callable[[], object]
+
+
 async def test_the_executor_of_a_lost_goal_is_killed_if_its_clean_up_takes_too_long() -> None:
-    store, executor = MemoryStore(), CleanUp(50)
-    async with server_with(store, executor, shutdown_timeout=5) as server:
-        quick = CleanUp(0)
-        goal = await client_of(server).send_goal(1000)
-        await anyio.sleep(1)
+    async with running(50) as one:
         begin = current_time()
-        store.take("paint", goal.goal_id)
+        one.take()
         await anyio.sleep(1)
-        assert len(server._parts.runs.lost.executions) == 1
+        assert len(one.server._parts.runs.lost.executions) == 1
         await anyio.sleep(5)
-        assert len(server._parts.runs.lost.executions) == 0
-        assert executor.ended == []  # its clean-up was cut off
+        assert len(one.server._parts.runs.lost.executions) == 0
+        assert one.executor.ended == []  # its clean-up was cut off
         assert current_time() - begin < 7
-        assert quick.begun == []
 
 
-async def test_a_stop_waits_for_the_executors_of_lost_goals_and_kills_them() -> None:
-    store, executor = MemoryStore(), CleanUp(3)
-    async with server_with(store, executor, shutdown_timeout=5) as server:
-        goal = await client_of(server).send_goal(1000)
-        await anyio.sleep(1)
-        store.take("paint", goal.goal_id)
-        await server.stop()
-        assert len(executor.ended) == 1
-    store, executor = MemoryStore(), CleanUp(30)
-    async with server_with(store, executor, shutdown_timeout=5) as server:
-        goal = await client_of(server).send_goal(1000)
-        await anyio.sleep(1)
-        store.take("paint", goal.goal_id)
+@pytest.mark.parametrize(("clean_up", "ended"), [(3, 1), (30, 0)])
+async def test_a_stop_waits_for_the_executors_of_lost_goals_and_kills_them(
+    clean_up: float, ended: int
+) -> None:
+    async with running(clean_up) as one:
+        one.take()
         await anyio.sleep(1)
         begin = current_time()
-        await server.stop()
+        await one.server.stop()
         assert current_time() - begin < 7
-    assert executor.ended == []
+    assert len(one.executor.ended) == ended
 
 
 async def test_a_stop_kills_the_executor_of_a_goal_that_is_lost_while_the_server_stops() -> None:
-    store, executor = MemoryStore(), CleanUp(30)
-    async with server_with(store, executor, shutdown_timeout=5) as server:
-        goal = await client_of(server).send_goal(1000)
-        await anyio.sleep(1)
+    async with running(30) as one:
         begin = current_time()
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(server.stop)
+            tasks.start_soon(one.server.stop)
             await anyio.sleep(1)
-            store.take("paint", goal.goal_id)
+            one.take()
         assert current_time() - begin < 5.5
-    assert executor.ended == []
+    assert one.executor.ended == []
 
 
 # Taken over

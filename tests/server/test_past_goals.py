@@ -155,14 +155,3 @@ async def test_a_history_that_cannot_be_read_is_told_and_logged(
     assert [record.message.split(": ")[1] for record in caplog.records] == [
         "cannot keep goals in a secret place"
     ] * 3
-
-
-async def test_goals_of_the_history_are_found_by_their_labels(tmp_path: Path) -> None:
-    async with painting(tmp_path) as server, serve(server, "tcp://127.0.0.1:0") as (url,):
-        async with connect(url, PAINT) as client:
-            async with client.send_goal(2, labels={"order": "17"}) as goal:
-                await goal.outcome()
-            assert await client.call(1, labels={"order": "18"}) == "painted 1 times"
-            labeled = PastPage(GoalQuery(labels=(("order", "17"),)))
-            infos = await client.endpoint.past_goals(labeled)
-    assert [(info.goal_id, info.labels) for info in infos] == [(goal.goal_id, {"order": "17"})]

@@ -16,7 +16,6 @@ import anyio
 import pytest
 
 from fibaction import (
-    Action,
     ActionClient,
     ActionServer,
     CancelCode,
@@ -34,19 +33,16 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.goal_store import StoredGoal
 from fibaction.client import attempts
 from tests.contract.conftest import tcp_address
+from tests.server.painting import PAINT, Painting, Server
 from tests.support.matching import End
 from tests.support.memory_store import Fate, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
 pytestmark = pytest.mark.anyio
 
-PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
 Client: TypeAlias = ActionClient[int, int, str]
-Server: TypeAlias = ActionServer[int, int, str]
-Painting: TypeAlias = AsyncGenerator[int | str, None]
 
 RESTARTED = End(GoalStatus.ABORTED, None, "the server was restarted")
 
@@ -167,26 +163,6 @@ async def test_a_goal_whose_acceptance_was_told_is_there_after_a_kill(machine: M
         assert await outcome_of(client, goal_id) == RESTARTED
 
 
-@pytest.mark.promise("KEEP-1")
-async def test_an_acceptance_is_told_when_it_is_kept_and_not_before(machine: Machine) -> None:
-    accepted: list[GoalID] = []
-    painter = Painter()
-    async with machine.life(painter) as client, anyio.create_task_group() as tasks:
-
-        async def send() -> None:
-            accepted.append((await client.send_goal(1)).goal_id)
-
-        machine.store.hold()
-        tasks.start_soon(send)
-        await machine.store.waits.wait()
-        await anyio.wait_all_tasks_blocked()
-        assert (accepted, painter.runs) == ([], [])
-        machine.store.release()
-        while not accepted:
-            await anyio.lowlevel.checkpoint()
-    assert painter.runs == [Run(1, None)]
-
-
 @pytest.mark.promise("KEEP-2")
 async def test_an_end_that_was_told_is_the_same_after_kills(machine: Machine) -> None:
     async with machine.life(Painter()) as client:
@@ -197,25 +173,6 @@ async def test_an_end_that_was_told_is_the_same_after_kills(machine: Machine) ->
         async with machine.life(Painter()) as client:
             attached = await client.attach(goal.goal_id)
             assert (await attached.outcome(), attached.stamp) == (end, goal.stamp)
-
-
-@pytest.mark.promise("KEEP-2")
-async def test_an_end_is_told_when_it_is_kept_and_not_before(machine: Machine) -> None:
-    go_on = anyio.Event()
-
-    async def paint(goal: GoalHandle[int]) -> Painting:
-        await go_on.wait()
-        yield "painted"
-
-    async with machine.life(paint) as client:
-        goal = await client.send_goal(0)
-        machine.store.hold()
-        go_on.set()
-        await machine.store.waits.wait()
-        await anyio.wait_all_tasks_blocked()
-        assert not goal.status.is_terminal
-    async with machine.life(paint) as client:
-        assert await outcome_of(client, goal.goal_id) == RESTARTED
 
 
 @pytest.mark.promise("KEEP-2", "CANCEL-20")
@@ -275,29 +232,6 @@ async def test_a_goal_whose_cancel_was_accepted_is_not_run_again(
     assert runs == 1
 
 
-@pytest.mark.promise("KEEP-3")
-async def test_the_acceptance_of_a_cancel_is_told_when_it_is_kept(machine: Machine) -> None:
-    painter = Painter(stop_at=1)
-    answers: list[bool] = []
-    async with machine.life(painter) as client, anyio.create_task_group() as tasks:
-        goal = await client.send_goal(4)
-        await painter.waits.wait()
-
-        async def cancel() -> None:
-            answers.append((await goal.cancel()).accepted)
-
-        machine.store.hold()
-        tasks.start_soon(cancel)
-        await machine.store.waits.wait()
-        await anyio.wait_all_tasks_blocked()
-        assert answers == []
-        machine.store.release()
-        assert (await goal.outcome()).status is GoalStatus.CANCELED
-        while not answers:
-            await anyio.lowlevel.checkpoint()
-    assert answers == [True]
-
-
 # Checkpoints
 
 
@@ -309,22 +243,6 @@ async def test_an_executor_goes_on_from_its_last_checkpoint(machine: Machine) ->
         outcome = await outcome_of(client, goal_id)
     assert outcome == End(GoalStatus.SUCCEEDED, "painted 4", "")
     assert painter.runs == [Run(1, None), Run(2, 3)]
-
-
-@pytest.mark.promise("KEEP-4")
-async def test_a_checkpoint_that_did_not_return_may_be_lost_and_no_other(machine: Machine) -> None:
-    def hold(_what: str, goal: StoredGoal) -> None:
-        if goal.checkpoint == PAINT.goal.encode(2):
-            machine.store.hold()
-
-    painter = Painter()
-    async with machine.life(painter, recovery="rerun") as client:
-        machine.store.on_kept = hold
-        goal = await client.send_goal(4)
-        await machine.store.waits.wait()
-    async with machine.life(painter, recovery="rerun") as client:
-        await outcome_of(client, goal.goal_id)
-    assert painter.runs == [Run(1, None), Run(2, 2)]
 
 
 @pytest.mark.promise("KEEP-4")
@@ -417,31 +335,6 @@ async def test_goals_that_waited_for_their_turn_are_run_in_any_case_and_in_order
         for goal in waiting:
             assert (await outcome_of(client, goal.goal_id)).result == "attempt 1"
     assert order == [goal.goal_id for goal in waiting]
-
-
-@pytest.mark.promise("KEEP-6")
-async def test_a_goal_that_kills_its_server_does_so_a_few_times_only(machine: Machine) -> None:
-    painter = Painter(stop_at=2)
-    settings: dict[str, Any] = {"recovery": "rerun", "max_attempts": 3}
-    attempts: list[int] = []
-
-    async def kills(goal: GoalHandle[int]) -> Painting:
-        attempts.append(goal.attempt)
-        await goal.checkpoint(1)  # as it was kept before
-        painter.waits.set()
-        await anyio.sleep_forever()
-        yield ""
-
-    goal_id = await begun(machine, Painter(stop_at=1), **settings)
-    for _ in range(2):
-        painter.waits = anyio.Event()
-        async with machine.life(kills, **settings):
-            await painter.waits.wait()
-    async with machine.life(kills, **settings) as client:
-        outcome = await outcome_of(client, goal_id)
-    reason = "given up after 3 attempts: the server was restarted"
-    assert outcome == End(GoalStatus.ABORTED, None, reason)
-    assert attempts == [2, 3]
 
 
 @pytest.mark.promise("KEEP-6")

@@ -24,7 +24,6 @@ from fibaction import (
     action,
 )
 from fibaction.server.functions import report as reports
-from tests.support.matching import End
 
 pytestmark = pytest.mark.anyio
 
@@ -67,23 +66,6 @@ async def test_reports_of_several_tasks_come_one_after_another_and_none_is_lost(
     assert sorted(found) == [*range(40)]
     for first in range(4):
         assert [number for number in found if number % 4 == first] == [*range(first, 40, 4)]
-
-
-async def test_a_report_waits_for_a_reader_as_a_yield_does() -> None:
-    reported: list[int] = []
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        for number in range(goal):
-            await report(number)
-            reported.append(number)
-        return "done"
-
-    async with client_of(count, window=2) as client:
-        async with client.send_goal(5) as goal:
-            await anyio.wait_all_tasks_blocked()
-            assert reported == [0]  # the second fills the window
-            assert [number async for number in goal.feedback] == [*range(5)]
 
 
 async def test_a_callback_that_outruns_the_reader_pushes_the_oldest_out(
@@ -185,26 +167,6 @@ async def canceled_at_the_first(function: Any, *, window: int = 1) -> Outcome[st
                 break
             assert (await goal.cancel()).accepted
             return await goal.outcome()
-
-
-async def test_a_cancel_arrives_at_a_report_and_once() -> None:
-    seen = Ends()
-
-    @action("count")
-    async def count(goal: int, report: Report[int]) -> str:
-        try:
-            for number in range(goal):
-                await report(number)
-        except anyio.get_cancelled_exc_class() as exc:
-            seen.note(exc)
-            await checkpoint()  # clean-up is not canceled
-            await report(-1)
-            raise GoalCanceled(result="a part") from None
-        return "done"
-
-    outcome = await canceled_at_the_first(count, window=64)
-    assert outcome == End(GoalStatus.CANCELED, "a part", "")
-    assert len(seen.errors) == 1
 
 
 @pytest.mark.parametrize("own_thread", [False, True])

@@ -137,7 +137,9 @@ async def test_an_intake_for_which_the_disk_has_no_room_is_refused_and_goals_are
         await kept.journal.change_intake(lambda _: b"1")
 
 
-async def test_a_store_that_has_failed_changes_no_intake(path: Path) -> None:
+async def test_a_store_that_has_failed_changes_no_intake_and_runs_no_goal_again(
+    path: Path,
+) -> None:
     async with opened(SqliteStore(path)) as kept:
 
         def fail(_before: bytes) -> bytes:
@@ -146,6 +148,8 @@ async def test_a_store_that_has_failed_changes_no_intake(path: Path) -> None:
         for change in (fail, bytes):
             with pytest.raises(StoreError, match="the disk is gone"):
                 await kept.journal.change_intake(change)
+        with pytest.raises(StoreError, match="the disk is gone"):
+            await kept.journal.rerun(a_goal().goal_id)
 
 
 @pytest.mark.parametrize("history", [None, GoalHistory()], ids=["alone", "with a history"])
@@ -207,18 +211,6 @@ async def test_a_file_that_cannot_be_read_is_an_error_of_the_request_only(
             with pytest.raises(StoreError, match="the disk is gone"):
                 await kept.journal.given_up(a_goal().goal_id)
         assert await kept.journal.given_up(a_goal().goal_id) is not None
-
-
-async def test_a_store_that_has_failed_runs_no_goal_again(path: Path) -> None:
-    async with opened(SqliteStore(path)) as kept:
-
-        def fail(_before: bytes) -> bytes:
-            raise StoreError("the disk is gone")
-
-        with pytest.raises(StoreError):
-            await kept.journal.change_intake(fail)
-        with pytest.raises(StoreError, match="the disk is gone"):
-            await kept.journal.rerun(a_goal().goal_id)
 
 
 async def test_after_a_failed_write_all_others_fail_in_order(path: Path) -> None:
