@@ -16,7 +16,7 @@ from fibaction.words.goals import digest_of
 from tests.simulation.facts import Life, Truth
 from tests.simulation.generator import scenario_of
 from tests.simulation.invariants import Record
-from tests.simulation.scenario import Done, Step
+from tests.simulation.scenario import Step
 from tests.simulation.views import View, Watch
 
 GOAL = GoalID(b"a goal of a test")
@@ -49,34 +49,6 @@ class Known:
         self.record.ended(self.truth, Outcome(statuses[-1]), self.truth.count)
 
 
-def test_a_goal_that_is_started_twice_is_found() -> None:
-    known = Known()
-    known.record.changed(known.truth, GoalStatus.EXECUTING)
-    known.record.started(known.truth)
-    assert known.found() == ["once"]
-
-
-def test_a_goal_that_ends_twice_or_never_is_found() -> None:
-    known = Known()
-    known.record.over()
-    assert known.found() == ["end"]
-    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
-    known.ends(GoalStatus.ABORTED)
-    assert known.found() == ["end", "end"]
-
-
-def test_a_success_without_a_result_is_found() -> None:
-    known = Known()
-    known.ends(GoalStatus.EXECUTING, GoalStatus.SUCCEEDED)
-    assert known.found() == ["end"]
-
-
-def test_a_status_that_cannot_follow_is_found() -> None:
-    known = Known()
-    known.record.changed(known.truth, GoalStatus.SUCCEEDED)
-    assert known.found() == ["status"]
-
-
 def test_a_gap_that_nobody_has_told_is_found() -> None:
     known = Known()
     known.truth.count = 5
@@ -102,15 +74,6 @@ def test_feedback_of_a_goal_may_be_read_after_a_copy_of_it_was_restored() -> Non
     assert known.found() == []
 
 
-def test_an_outcome_that_is_not_the_servers_is_found() -> None:
-    known = Known()
-    known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
-    known.view.outcome(Outcome(GoalStatus.ABORTED))
-    assert known.found() == []
-    known.view.outcome(Outcome(GoalStatus.ABORTED, Done(1, 1)))
-    assert known.found() == ["outcome"]
-
-
 def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
     known = Known()
     known.ends(GoalStatus.EXECUTING, GoalStatus.ABORTED)
@@ -123,12 +86,6 @@ def test_a_server_may_have_forgotten_what_the_next_one_restores() -> None:
     assert known.found() == []
     known.record.failed(known.client, UnknownGoal(GOAL), "follow", GOAL, since=known.now + 0.1)
     assert known.found() == ["error"]
-
-
-def test_a_goal_that_is_canceled_though_nobody_asked_is_found() -> None:
-    known = Known(next(s for s in range(99) if scenario_of(s).server.orphans == "keep"))
-    known.ends(GoalStatus.EXECUTING, GoalStatus.CANCELING, GoalStatus.CANCELED)
-    assert known.found() == ["cancel"]
 
 
 def test_a_watcher_who_misses_a_status_is_found() -> None:

@@ -36,39 +36,6 @@ def over_a_line(
     virtual.run(connected, loop)
 
 
-async def all_of(stream: SimulatedStream, count: int) -> bytes:
-    received = b""
-    while len(received) < count:
-        received += await stream.receive()
-    return received
-
-
-def test_bytes_arrive_in_order_after_a_while() -> None:
-    sent = bytes(range(256)) * 10
-
-    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        begun = anyio.current_time()
-        for start in range(0, len(sent), 100):
-            await near.send(sent[start : start + 100])
-        assert await all_of(far, len(sent)) == sent
-        assert anyio.current_time() - begun >= 0.5
-
-    over_a_line(main, Weather(latency=0.5, jitter=0.2, pieces=7))
-
-
-def test_a_sender_waits_for_a_reader() -> None:
-    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        await near.send(bytes(1000))
-        with anyio.move_on_after(60) as scope:
-            await near.send(b"more")
-        assert scope.cancelled_caught
-        await all_of(far, 1000)
-        await near.send(b"more")
-        assert await far.receive() == b"more"
-
-    over_a_line(main, Weather(buffer=1000))
-
-
 def test_a_connection_that_is_cut_loses_what_is_under_way() -> None:
     async def main(network: Network, line: Line, near: Any, far: Any) -> None:
         await near.send(bytes(1000))
@@ -115,22 +82,6 @@ def test_a_frozen_line_goes_on_later() -> None:
         await near.send(b"late")
         assert await far.receive() == b"late"
         assert anyio.current_time() - begun >= 30
-
-    over_a_line(main)
-
-
-def test_who_closes_is_seen_to_have_closed() -> None:
-    async def main(network: Network, line: Line, near: Any, far: Any) -> None:
-        await near.send(b"last")
-        await near.aclose()
-        assert await far.receive() == b"last"
-        with pytest.raises(anyio.EndOfStream):
-            await far.receive()
-        await far.send(b"to nobody")
-        with pytest.raises(anyio.BrokenResourceError):
-            await far.send(b"to nobody")
-        with pytest.raises(anyio.ClosedResourceError):
-            await near.receive()
 
     over_a_line(main)
 

@@ -50,41 +50,9 @@ def test_a_race_of_asyncio_is_not_output_of_the_page(tmp_path: Path) -> None:
     assert walk(console(f"$ echo 1; echo '{printed}' >&2\n1\n"), tmp_path) == []
 
 
-def test_a_last_line_without_an_end_is_a_line(tmp_path: Path) -> None:
-    assert walk(console("$ printf '1\\n\\n2'\n1\n\n2\n$ printf '1\\n\\n'\n1\n\n"), tmp_path) == []
-
-
 def test_dots_stand_for_any_lines(tmp_path: Path) -> None:
     assert walk(console("$ seq 9\n1\n...\n9\n$ seq 2\n1\n...\n2\n"), tmp_path) == []
     assert len(walk(console("$ seq 9\n1\n...\n8\n"), tmp_path)) == 1
-
-
-def test_what_is_another_one_in_each_run_may_differ(tmp_path: Path) -> None:
-    printed = f"{'a' * 32}  12.5 s   31  127.0.0.1:51234"
-    said = f"{'b' * 32} 3.1 s 2 127.0.0.1:40000"
-
-    assert walk(console(f"$ echo '{printed}'\n{said}\n"), tmp_path) == []
-
-
-def test_a_terminal_remembers_and_another_does_not(tmp_path: Path) -> None:
-    page = console("$ export x=1; mkdir in; cd in\n") + console(
-        "$ echo $x in $(basename $PWD)\n1 in in\n"
-    )
-
-    assert walk(page + console("$ echo [$x]\n[]\n", "two"), tmp_path) == []
-
-
-def test_files_that_the_reader_writes_are_there(tmp_path: Path) -> None:
-    page = "<!-- file: in/a.txt -->\n```text\nwritten\n```\n\n"
-
-    assert walk(page + console("$ cat in/a.txt\nwritten\n"), tmp_path) == []
-
-
-def test_a_program_that_runs_on_ends_with_control_c(tmp_path: Path) -> None:
-    program = "trap 'echo caught; exit' INT; echo ready; while :; do sleep 0.01; done"
-    page = f'<!-- terminal: one, runs on -->\n```console\n$ bash -c "{program}"\nready\n```\n\n'
-
-    assert walk(page + console("^C\ncaught\n$ echo alive\nalive\n"), tmp_path) == []
 
 
 def test_a_program_that_does_not_end_is_killed(
