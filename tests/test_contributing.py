@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.page_parts import part_of
 from tests.tools import package_table
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -62,7 +63,8 @@ def test_each_package_begins_with_its_duty_in_one_sentence() -> None:
 
 
 def test_the_table_of_packages_is_that_of_the_tree() -> None:
-    _, table, _ = package_table.parts_of(package_table.PAGE.read_text(encoding="utf-8"))
+    page = package_table.PAGE.read_text(encoding="utf-8")
+    table = part_of(page, "packages", package_table.MAKER)
     assert table == package_table.table(package_table.duties()), (
         "write it with `python -m tests.tools.package_table`"
     )
@@ -92,19 +94,6 @@ def test_every_folder_with_an_init_is_a_package_of_the_table(tmp_path: Path) -> 
 @pytest.mark.parametrize("duty", ["The wire", "The wire\nprotocol.", "The wire. And more."])
 def test_a_duty_is_one_sentence_on_one_line(duty: str) -> None:
     assert len(package_table.faults({"fibaction/wire/": duty})) == 1
-
-
-def test_the_table_is_rewritten_between_its_marks() -> None:
-    begin, end = package_table.BEGIN, package_table.END
-    page = f"Before\n\n{begin}\n\nold\n\n{end}\n\nAfter\n"
-    again = package_table.rewritten(page, {"a/": "The `a`."})
-    assert again == (
-        f"Before\n\n{begin}\n\n| Package | Its duty |\n| --- | --- |\n| `a/` | The `a` |\n\n"
-        f"{end}\n\nAfter\n"
-    )
-    assert package_table.rewritten(again, {"a/": "The `a`."}) == again
-    with pytest.raises(ValueError, match="the page needs the lines"):
-        package_table.parts_of(f"{begin} and no end")
 
 
 def test_each_scheme_of_a_transport_is_told_of_on_the_page_of_transports() -> None:

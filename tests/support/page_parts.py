@@ -24,11 +24,13 @@ def with_part(page: str, name: str, maker: str, text: str) -> str:
     return f"{before}\n\n{text}\n\n{after}"
 
 
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table. Numbers are aligned to the right, to be compared: all columns but the first,
-    if each of them has a heading.
+def markdown_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = True
+) -> str:
+    """Return a table. With `numbers`, all columns but the first are aligned to the right, to be
+    compared.
     """
-    lines = [head, ["---"] + ["---:" if all(head[1:]) else "---"] * (len(head) - 1), *rows]
+    lines = [head, ["---"] + ["---:" if numbers else "---"] * (len(head) - 1), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+from tests.support.page_parts import markdown_table, with_part
 from tests.tools.structure import ROOT, SOURCES
 
 PAGE = ROOT / "CONTRIBUTING.md"
-BEGIN, END = "<!-- packages: python -m tests.tools.package_table -->", "<!-- end of packages -->"
+MAKER = "python -m tests.tools.package_table"
 
 
 def duties(root: Path = ROOT) -> dict[str, str]:
@@ -42,33 +43,15 @@ def faults(duties: dict[str, str]) -> list[str]:
 
 
 def table(duties: dict[str, str]) -> str:
-    """Return the rows of the packages, with their heading."""
-    rows = [f"| `{package}` | {duty.removesuffix('.')} |" for package, duty in duties.items()]
-    return "\n".join(["| Package | Its duty |", "| --- | --- |", *rows])
-
-
-def parts_of(page: str) -> tuple[str, str, str]:
-    """Return the text before the table, the table, and the text after it.
-
-    Raises:
-        ValueError: The page has no place for the table.
-    """
-    before, begin, rest = page.partition(BEGIN)
-    inner, end, after = rest.partition(END)
-    if not (begin and end):
-        raise ValueError(f"the page needs the lines {BEGIN} and {END} around the table")
-    return before + begin, inner.strip(), end + after
-
-
-def rewritten(page: str, duties: dict[str, str]) -> str:
-    """Return the page with the table of today."""
-    before, _, after = parts_of(page)
-    return f"{before}\n\n{table(duties)}\n\n{after}"
+    """Return the table of the packages."""
+    rows = [[f"`{package}`", duty.removesuffix(".")] for package, duty in duties.items()]
+    return markdown_table(["Package", "Its duty"], rows, numbers=False)
 
 
 def main() -> None:
     """Write the table into the page."""
-    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8"), duties()), encoding="utf-8")
+    page = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(with_part(page, "packages", MAKER, table(duties())), encoding="utf-8")
 
 
 if __name__ == "__main__":

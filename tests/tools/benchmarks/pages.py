@@ -72,7 +72,7 @@ def machine(report: dict[str, Any]) -> str:
         ["Load when it began", f"{on['load_at_start']:g}"],
         ["Versions", ", ".join(f"{name} {what}" for name, what in report["versions"].items())],
     ]
-    lines = [markdown_table(["", ""], rows)]
+    lines = [markdown_table(["", ""], rows, numbers=False)]
     lines += [f"Left out is {label}: {reason}." for label, reason in report["left_out"].items()]
     return "\n\n".join(lines)
 
