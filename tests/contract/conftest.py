@@ -35,7 +35,7 @@ from fibaction.testing.contract.reach import Reach, Servers, directly, through_a
 from fibaction_transports.inprocess import InProcessTransport
 from fibaction_transports.web import WebTransport
 from tests.support.certificates import pems
-from tests.support.forms import FORMS, Form
+from tests.support.executors import FORMS, Form
 from tests.support.memory_store import MemoryStore
 from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 from tests.support.ports import free_port

@@ -24,9 +24,8 @@ from fibaction.server.goal_handle import Succession
 from fibaction.server.registry.goal_record import Ending, EndKind, GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
 from fibaction.words.statuses import GoalEvent, transition
-from tests.support.executors import Items
+from tests.support.executors import FORMS, Items, as_function
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
-from tests.support.forms import FORMS, as_function
 
 NO_CHECKPOINTS = Keeper("fibonacci")
 

@@ -14,7 +14,7 @@ import pytest
 
 from fibaction.testing.contract.reach import Reach, directly, through_a_gateway
 from tests.contract.conftest import anyio_backend
-from tests.support.forms import Form, as_generator
+from tests.support.executors import Form, as_generator
 from tests.support.ros_contract import EXCLUSIONS, MODULES
 
 PATIENCE = 45.0

@@ -12,10 +12,8 @@ MODULES = [
     "fibaction.testing.contract.test_executing",
     "fibaction.testing.contract.test_feedback",
     "fibaction.testing.contract.test_leaving",
-    "fibaction.testing.contract.test_meta",
     "tests.contract.test_ros_messages",
     "fibaction.testing.contract.test_scheduling",
-    "fibaction.testing.contract.test_places",
     "fibaction.testing.contract.test_senders",
     "tests.contract.test_tracing",
 ]
@@ -83,7 +81,6 @@ EXCLUSIONS: dict[str, str] = {
     "test_a_watcher_of_all_goals_sees_the_feedback_of_one_that_ends_at_once": PAST,
     "test_two_clients_are_two_senders": SENDER,
     "test_the_sender_has_the_name_of_its_token_and_its_address": SENDER,
-    "test_a_goal_that_waits_is_listed_with_its_place": PLACE,
     "test_a_server_that_has_stopped_is_not_found": STOPPED,
     "test_the_executor_sees_the_deadline": TIMEOUT,
     "test_the_meta_of_a_goal_reaches_the_watchers": META,

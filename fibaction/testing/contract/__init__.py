@@ -25,7 +25,7 @@ TRANSPORTS = sorted(
 
 pytest.register_assert_rewrite(*TRANSPORTS, f"{__name__}.stores")
 
-from fibaction.testing.contract.forms import Form, as_generator  # noqa: E402  # rewritten first
+from fibaction.testing.contract.executors import Form, as_generator  # noqa: E402  # rewritten first
 from fibaction.testing.contract.reach import (  # noqa: E402
     NewAddress,
     Reach,

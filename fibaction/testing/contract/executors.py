@@ -1,15 +1,29 @@
-"""An executor that tests let go, and executors that fail, with the expected ends of their goals."""
+"""An executor that tests let go, executors that fail with the ends of their goals, and two forms.
+
+The forms are the generator, and a function that does the same by a report.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable
-from typing import cast
+from typing import TypeAlias, cast
 
 import anyio
 
-from fibaction import GoalAborted, GoalCanceled, GoalHandle, GoalID, GoalInfo, GoalStatus
+from fibaction import (
+    FunctionAction,
+    GoalAborted,
+    GoalCanceled,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    Report,
+    action,
+)
 from fibaction.border.abc import StatusStream
+from fibaction.server.execution.executor import Executor
 from fibaction.testing.contract.fibonacci import Feedback, Goal, Result
 
 Items = AsyncGenerator[Feedback | Result, None]
@@ -41,6 +55,17 @@ class Steps:
         finally:
             self.ended_as.append(goal.status)
         yield Result([goal.request.order])
+
+
+class Undecided:
+    """An `on_cancel` or `on_goal` that says that it was asked, and agrees when it is told to."""
+
+    def __init__(self) -> None:
+        self.asked, self.decide = anyio.Event(), anyio.Event()
+
+    async def __call__(self, goal: object) -> None:
+        self.asked.set()
+        await self.decide.wait()
 
 
 async def next_with(statuses: StatusStream, status: GoalStatus) -> GoalInfo:
@@ -230,3 +255,67 @@ ABORTED: list[tuple[Callable[[GoalHandle[Goal]], Items], str, list[int] | None]]
     (raises_instead_of_making_one, "ValueError: at once", None),
 ]
 """(executor, reason, partial result)"""
+
+
+# Forms
+
+Generator: TypeAlias = Callable[[GoalHandle[Goal]], Items]
+Form: TypeAlias = Callable[[Generator], Executor[Goal, Feedback, Result]]
+"""Makes an executor of a generator, in one of the forms."""
+
+OF_GENERATORS = {
+    "ends_without_a_result",
+    "yields_after_the_result",
+    "yields_two_results",
+    "yields_a_wrong_type",
+    "raises_after_the_result",
+    "ignores_that_it_is_closed",
+    "is_no_generator",
+    "returns_its_feedback",
+}
+"""The executors that break rules which only a generator can break."""
+
+
+def as_generator(executor: Generator) -> Executor[Goal, Feedback, Result]:
+    """Return the executor itself."""
+    return executor
+
+
+def as_function(executor: Generator) -> Executor[Goal, Feedback, Result]:
+    """Return an executor of the same steps that is made of a function: it reports what the
+    generator yields, and returns its result.
+    """
+
+    @action("fibonacci")
+    async def fibonacci(goal: GoalHandle[Goal], report: Report[Feedback]) -> Result:
+        items = executor(goal)
+        results: list[Result] = []
+        step = anext(items)
+        try:
+            while True:
+                try:
+                    item = await step
+                except StopAsyncIteration:
+                    break
+                except BaseException:
+                    del step  # it may reference the exception, which references this frame
+                    raise
+                if isinstance(item, Result):
+                    results.append(item)
+                    step = anext(items)
+                    continue
+                try:
+                    await report(item)
+                except BaseException as exc:
+                    step = items.athrow(exc)
+                else:
+                    step = anext(items)
+        finally:
+            await items.aclose()
+        return results.pop()
+
+    assert isinstance(fibonacci, FunctionAction)
+    return fibonacci.executor
+
+
+FORMS: dict[str, Form] = {"generator": as_generator, "function": as_function}

@@ -23,7 +23,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.testing.contract.executors import Steps
+from fibaction.testing.contract.executors import Steps, Undecided
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
@@ -301,13 +301,7 @@ async def test_an_id_of_zeros_names_no_goal_and_is_rejected(reach: Reach) -> Non
 async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
     reach: Reach,
 ) -> None:
-    executor = Steps()
-    decide, asked = anyio.Event(), anyio.Event()
-
-    async def on_goal(goal: Goal) -> None:
-        asked.set()
-        await decide.wait()
-
+    executor, on_goal = Steps(), Undecided()
     async with reach(ActionServer(FIBONACCI, executor, on_goal=on_goal)) as client:
         goal_id = GoalID.random()
         async with anyio.create_task_group() as tasks:
@@ -316,9 +310,9 @@ async def test_a_client_that_gives_up_before_the_answer_leaves_no_goal_behind(
                 await client.send_goal(Goal(1), goal_id=goal_id)
 
             tasks.start_soon(send)
-            await asked.wait()
+            await on_goal.asked.wait()
             tasks.cancel_scope.cancel()
-            decide.set()
+            on_goal.decide.set()
         with anyio.fail_after(30):
             outcome = await client.endpoint.get_result(goal_id)
         # It was never accepted, or it was, on its way, and then canceled.

@@ -21,24 +21,12 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.testing.contract.executors import Items, Steps, next_with
+from fibaction.testing.contract.executors import Form, Items, Steps, Undecided, next_with
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
-from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio
-
-
-class Undecided:
-    """An `on_cancel` or `on_goal` that says that it was asked, and agrees when it is told to."""
-
-    def __init__(self) -> None:
-        self.asked, self.decide = anyio.Event(), anyio.Event()
-
-    async def __call__(self, goal: object) -> None:
-        self.asked.set()
-        await self.decide.wait()
 
 
 @pytest.mark.promise("CANCEL-5", "CANCEL-9", "RESULT-1", "ERROR-2")

@@ -18,14 +18,12 @@ from fibaction import (
     GoalInfo,
     GoalStatus,
     Parent,
-    Sender,
     SqliteStore,
-    Watcher,
 )
-from fibaction.border.abc import Meta
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
+from fibaction.testing.contract.test_senders import Metas
 from fibaction.words.goals import child_id
 
 pytestmark = pytest.mark.anyio
@@ -52,18 +50,6 @@ class Held:
             await self.clean.wait()
             raise
         yield Result([goal.request.order])
-
-
-class Parents(Watcher):
-    """A watcher that notes which goals have sent the goals of its server."""
-
-    def __init__(self) -> None:
-        self.ids: list[str] = []
-
-    def offered(
-        self, action: str, goal_id: GoalID, goal: bytes, sender: Sender, meta: Meta
-    ) -> None:
-        self.ids.append(meta["parent"])
 
 
 class Mission:
@@ -159,14 +145,14 @@ async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(
 
 @pytest.mark.promise("ACCEPT-16")
 async def test_the_meta_of_a_child_names_its_parent(reach: Reach) -> None:
-    child, parents = Held(), Parents()
+    child, metas = Held(), Metas()
     child.go.set()
-    async with reach(ActionServer(FIBONACCI, child, watchers=[parents])) as arm:
+    async with reach(ActionServer(FIBONACCI, child, watchers=[metas])) as arm:
         async with ActionServer(MISSION, Mission(arm)) as server:
             goal = await ActionClient(server, MISSION).send_goal(7)
             assert await goal.result() == [7]
 
-    assert parents.ids == [str(goal.goal_id)]
+    assert [meta["parent"] for meta in metas.noted] == [str(goal.goal_id)]
 
 
 @pytest.mark.promise("CHILD-4")

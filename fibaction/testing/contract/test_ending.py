@@ -23,9 +23,8 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
-from fibaction.testing.contract.executors import Items, next_with
+from fibaction.testing.contract.executors import Form, Items, next_with
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach, running
 

@@ -9,9 +9,15 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus
-from fibaction.testing.contract.executors import ABORTED, Items, raises_after_feedback
+from fibaction.testing.contract.executors import (
+    ABORTED,
+    OF_GENERATORS,
+    Form,
+    Items,
+    as_function,
+    raises_after_feedback,
+)
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
-from fibaction.testing.contract.forms import OF_GENERATORS, Form, as_function
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
 

@@ -9,9 +9,8 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
-from fibaction.testing.contract.executors import Items, Steps
+from fibaction.testing.contract.executors import Form, Items, Steps
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
-from fibaction.testing.contract.forms import Form
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import AsyncExitStack
 from typing import Any
 
 import anyio
@@ -201,10 +202,16 @@ async def test_the_most_urgent_goal_starts_first_and_preempts_none(reach: Reach)
 
 
 @pytest.mark.promise("STATUS-9")
-async def test_a_list_of_goals_tells_the_places_of_those_that_wait(reach: Reach) -> None:
+@pytest.mark.parametrize("is_followed", [False, True], ids=["list", "list and events"])
+async def test_a_list_of_goals_tells_the_places_of_those_that_wait(
+    reach: Reach, is_followed: bool
+) -> None:
     bench = Bench()
     schedule = Schedule(concurrency=1, queue=5, priority=lambda goal: -goal.order)
-    async with reach(ActionServer(FIBONACCI, bench, schedule=schedule)) as client:
+    server = ActionServer(FIBONACCI, bench, schedule=schedule)
+    async with reach(server) as client, AsyncExitStack() as stack:
+        if is_followed:  # on the same connection, before any goal waits
+            await stack.enter_async_context(client.events())
         sent = await send(client, 1, 9, 5)
         await begun(sent[0])
         assert await places(client, sent) == [(0, 0), (2, 2), (1, 2)]
@@ -213,11 +220,15 @@ async def test_a_list_of_goals_tells_the_places_of_those_that_wait(reach: Reach)
         bench.let_go(1)
         await begun(sent[2])
         assert await places(client, sent) == [(0, 0), (2, 2), (0, 0), (1, 2)]
+        await sent[3].cancel()
+        assert await places(client, sent) == [(0, 0), (1, 1), (0, 0), (0, 0)]
 
 
 async def places(client: Client, goals: list[Sent]) -> list[tuple[int, int]]:
-    told = {info.goal_id: (info.place, info.queue_length) for info in await client.goals()}
-    return [told[goal.goal_id] for goal in goals]
+    infos = {info.goal_id: info for info in await client.goals()}
+    for info in infos.values():
+        assert (info.status is GoalStatus.ACCEPTED) == (info.place > 0)
+    return [(infos[goal.goal_id].place, infos[goal.goal_id].queue_length) for goal in goals]
 
 
 # Giving way
