@@ -18,7 +18,7 @@ import yaml
 from google.protobuf.json_format import MessageToDict
 
 from fibaction import Action, ActionInfo, Report, action, blocking, connect, serve
-from fibaction.cli.verbs.info import print_info
+from fibaction.cli.verbs.actions import print_info
 from fibaction.schema.template import Template
 from fibaction.schema.typescript import typescript_source
 from fibaction.testing import ScriptedServer

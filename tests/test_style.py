@@ -140,7 +140,7 @@ def test_a_name_and_a_pointer_to_a_module_that_is_gone_are_found() -> None:
 
 CLEAN_LOGS = (
     "fibaction/_runtime/log.py",
-    "fibaction/cli/process/logs.py",
+    "fibaction/cli/output/lines.py",
     "fibaction/cli/verbs/top.py",
     "fibaction/server/log_keeper.py",
 )

@@ -19,10 +19,9 @@ import click
 
 from fibaction.cli.arguments.options import ADDRESS, URL
 from fibaction.cli.output.escape import clean
-from fibaction.cli.output.lines import LogHandler
+from fibaction.cli.output.lines import CleanFormatter, LogHandler
 from fibaction.cli.process.exit_at_once import exit_at_once
 from fibaction.cli.process.exit_codes import ExitCode, debugging, report_errors
-from fibaction.cli.process.logs import CleanFormatter
 
 GROUPS = {
     "Serve": {
@@ -35,10 +34,10 @@ GROUPS = {
     },
     "Send and follow goals": {
         "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
-        "attach": ("attach", "attach_command", "Follow a goal that was sent before."),
+        "attach": ("follow", "attach_command", "Follow a goal that was sent before."),
         "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
         "goals": ("list_goals", "goals_command", "List goals and their statuses."),
-        "echo": ("echo", "echo_command", "Print every status and feedback of an action."),
+        "echo": ("follow", "echo_command", "Print every status and feedback of an action."),
         "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
         "stats": ("stats", "stats_command", "Count goals, failures, and how long they take."),
     },
@@ -48,16 +47,20 @@ GROUPS = {
         "drain": ("levers", "drain_command", "Let a server or a worker run empty."),
     },
     "Find and describe actions": {
-        "list": ("list", "list_command", "List the actions that are served."),
-        "info": ("info", "info_command", "Show the servers and the clients of an action."),
-        "type": ("info", "type_command", "Print the type of an action."),
-        "find": ("list", "find_command", "List the actions of a type."),
-        "workers": ("workers", "workers_command", "List the workers of a fleet."),
+        "list": ("actions", "list_command", "List the actions that are served."),
+        "info": (
+            "actions",
+            "info_command",
+            "Show the servers and the clients of an action.",
+        ),
+        "type": ("actions", "type_command", "Print the type of an action."),
+        "find": ("actions", "find_command", "List the actions of a type."),
+        "workers": ("actions", "workers_command", "List the workers of a fleet."),
     },
     "Check a connection": {
-        "wait": ("wait", "wait_command", "Wait until an action is served."),
-        "ping": ("round_trip", "ping_command", "Measure the round trip to a server."),
-        "doctor": ("doctor", "doctor_command", "Say why nothing is found."),
+        "wait": ("checks", "wait_command", "Wait until an action is served."),
+        "ping": ("checks", "ping_command", "Measure the round trip to a server."),
+        "doctor": ("checks", "doctor_command", "Say why nothing is found."),
     },
     "ROS beside actions": {
         "topic": ("topics", "topic_command", "List, read, measure and publish topics."),

@@ -16,7 +16,7 @@ import anyio
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.border.event_loop import Slices
-from fibaction.feeds.known_goals import statuses_soon
+from fibaction.feeds.answers import statuses_soon
 from fibaction.words.goal_query import GoalQuery, place_of, sort_key
 from fibaction.words.goals import GoalID, GoalInfo
 

@@ -27,7 +27,7 @@ import msgspec
 
 from fibaction.border.endpoints import Endpoint
 from fibaction.border.event_loop import Slices
-from fibaction.feeds.known_goals import statuses_soon
+from fibaction.feeds.answers import statuses_soon
 from fibaction.words.goal_query import GoalQuery, Place
 from fibaction.words.goals import GoalInfo
 from fibaction.words.statuses import GoalStatus

@@ -15,8 +15,8 @@ import pytest
 
 from fibaction import Action, ActionInfo, ActionServer, connect, serve
 from fibaction.border.abc import Connection, Endpoint
-from fibaction.cli.bridge.actions import BridgedActions
 from fibaction.cli.bridge.renames import Renames
+from fibaction.cli.bridge.sources import BridgedActions
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import bridge
 from fibaction.words.errors import ServerNotFound, TransportError

@@ -21,7 +21,7 @@ from fibaction import (
     serve,
 )
 from fibaction.cli.output.goal_table import Family, family_of, step_of
-from fibaction.cli.verbs.attach import attach
+from fibaction.cli.verbs.follow import attach
 from fibaction.cli.verbs.list_goals import Form, list_goals
 from fibaction.observe.monitor import GoalKey, GoalSnapshot, Monitor
 

@@ -11,10 +11,10 @@ import anyio
 import pytest
 
 from fibaction import Action, ActionServer, GoalHandle, connect, serve
-from fibaction.cli.arguments.namespaces import ROOT
+from fibaction.cli.arguments.names import ROOT
 from fibaction.cli.verbs import levers
+from fibaction.cli.verbs.actions import list_actions
 from fibaction.cli.verbs.levers import operate, own_name
-from fibaction.cli.verbs.list import list_actions
 from fibaction.words.intake import IntakeMode
 from tests.cli.conftest import Invoke
 

@@ -26,7 +26,7 @@ from fibaction import (
     serve,
 )
 from fibaction.cli.arguments.goal_lookup import GoalChoice
-from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.arguments.names import Namespace
 from fibaction.cli.output.goal_details import MOST_ENDS, Outcomes
 from fibaction.cli.output.goal_table import GoalRow, picture
 from fibaction.cli.process.exit_codes import ExitCode
@@ -35,7 +35,7 @@ from fibaction.cli.verbs.list_goals import Form
 from fibaction.observe.monitor import AnyClient
 from tests.cli.conftest import Open, Robot, Run, Start, detached, interrupt
 from tests.cli.served import Altered, Heard, Served, counter
-from tests.cli.test_echo import echoed
+from tests.cli.test_follow import echoed
 from tests.support.processes import ended, lines_until
 from tests.support.virtual_time import in_virtual_time
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fibaction import ActionServer, GoalID, GoalStatus
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
 from fibaction.cli.process.exit_codes import Failure
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci

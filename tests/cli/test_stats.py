@@ -9,7 +9,7 @@ from contextlib import nullcontext
 import pytest
 
 from fibaction import GoalAborted, ServerNotFound
-from fibaction.cli.arguments.namespaces import ROOT
+from fibaction.cli.arguments.names import ROOT
 from fibaction.cli.verbs import stats
 from fibaction.cli.verbs.stats import lines_of, print_statistics
 from fibaction.feeds.statistics import (

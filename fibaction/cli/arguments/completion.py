@@ -22,10 +22,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from fibaction._api import connect
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.goal_lookup import ActionClients, goals_of
-from fibaction.cli.arguments.goal_template import GoalTemplate
-from fibaction.cli.arguments.namespaces import ROOT, Namespace, namespaces_of
+from fibaction.cli.arguments.goal_text import GoalTemplate
+from fibaction.cli.arguments.names import ROOT, Namespace, namespaces_of, shown
 from fibaction.cli.arguments.options import FunctionT, url_of
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.words.errors import ActionError

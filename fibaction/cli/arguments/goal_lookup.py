@@ -10,7 +10,7 @@ import anyio
 import click
 
 from fibaction._api import ClientConnection
-from fibaction.cli.arguments.action_names import action_of, shown
+from fibaction.cli.arguments.names import action_of, shown
 from fibaction.cli.arguments.options import TimeType, labels_option
 from fibaction.cli.output.goal_table import GoalRow
 from fibaction.cli.output.lines import note

@@ -9,8 +9,7 @@ from typing import NamedTuple, Self
 import msgspec
 
 from fibaction.border.abc import Endpoint, ForwardingEndpoint
-from fibaction.cli.arguments.action_names import shown
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace, shown
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.types.action import ActionInfo

@@ -1,1 +1,1 @@
-"""The output of the command: lines, JSON, YAML, tables, progress and the live screen."""
+"""The output of the command: lines, log, JSON, YAML, tables, progress and the live screen."""

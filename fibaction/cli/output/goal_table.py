@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.names import shown
 from fibaction.cli.output.escape import excerpt, printable
 from fibaction.cli.output.lines import as_json
 from fibaction.observe.monitor import newest_active_first

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 from fibaction.border.abc import FeedbackItem, GoalStream
 from fibaction.cli.output.escape import clean
 from fibaction.cli.output.goal_table import parent_json, step_of
-from fibaction.cli.output.lines import console, note, on_terminal, say, say_json
+from fibaction.cli.output.lines import console, log_connection, note, on_terminal, say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.process.logs import log_connection
 from fibaction.types.action import Action
 from fibaction.words.errors import GoalRejected
 from fibaction.words.goals import GoalID, Outcome, Parent

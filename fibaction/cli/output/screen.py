@@ -15,7 +15,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Input, Static
 
-from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.names import shown
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_details import DetailQuestion, GoalDetails
 from fibaction.cli.output.goal_table import GoalRow, family_of, step_of

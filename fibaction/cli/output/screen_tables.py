@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Self
 
 from rich.text import Text
 
-from fibaction.cli.arguments.action_names import shown
+from fibaction.cli.arguments.names import shown
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_details import GoalDetails
 from fibaction.cli.output.goal_table import FAMILY, STYLES, Family, GoalRow, unambiguous

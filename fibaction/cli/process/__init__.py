@@ -1,1 +1,1 @@
-"""The process of the command: signals, log, exit codes, reload and its last seconds."""
+"""The process of the command: signals, exit codes, reload and its last seconds."""

@@ -1,1 +1,1 @@
-"""The verbs of the command `fibaction`, one module for each."""
+"""The verbs of the command `fibaction`, a module for each or for some that belong together."""

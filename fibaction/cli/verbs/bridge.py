@@ -12,17 +12,14 @@ from fibaction._api import ClientConnection, connect, serve
 from fibaction.border.abc import Connection, Endpoint
 from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.action_names import names_of, no_action, shown
 from fibaction.cli.arguments.completion import ACTION, NAMESPACE, namespace_option
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace, names_of, no_action, shown
 from fibaction.cli.arguments.options import reject_inproc
-from fibaction.cli.bridge.actions import BridgedActions
 from fibaction.cli.bridge.ends import open_end
 from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
-from fibaction.cli.bridge.sources import BridgedSources, named_urls
-from fibaction.cli.output.lines import note, say
+from fibaction.cli.bridge.sources import BridgedActions, BridgedSources, named_urls
+from fibaction.cli.output.lines import log_events, log_with_time, note, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
-from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.signals import stop_signals
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ServerNotFound

@@ -8,7 +8,6 @@ import anyio
 import click
 
 from fibaction._api import connect
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION_OR_GOAL_ID, namespace_option
 from fibaction.cli.arguments.goal_lookup import (
     ACTIONS_ASKED_AT_ONCE,
@@ -17,7 +16,7 @@ from fibaction.cli.arguments.goal_lookup import (
     goal_digits,
     goals_of,
 )
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace, shown
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import GoalRow

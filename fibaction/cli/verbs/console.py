@@ -28,9 +28,8 @@ from fibaction.border.urls import transport_for
 from fibaction.cli.arguments.options import url_of
 from fibaction.cli.bridge.ends import open_end
 from fibaction.cli.bridge.sources import BridgedSources, named_urls
-from fibaction.cli.output.lines import say
+from fibaction.cli.output.lines import log_with_time, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
-from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import stop_signals
 
 

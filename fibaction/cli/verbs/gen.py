@@ -14,8 +14,8 @@ from fibaction._api import connect
 from fibaction.action_files import InterfaceError, action_source, load_action
 from fibaction.border.abc import Connection
 from fibaction.border.urls import without_settings
-from fibaction.cli.arguments.action_names import no_action, shown
 from fibaction.cli.arguments.import_target import import_servers
+from fibaction.cli.arguments.names import no_action, shown
 from fibaction.cli.arguments.options import reject_inproc, url_of
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run

@@ -14,10 +14,9 @@ import click
 import msgspec
 
 from fibaction._api import connect
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.goal_lookup import ActionClients
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace, shown
 from fibaction.cli.arguments.options import NumberType, json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import note, say, say_json

@@ -14,7 +14,6 @@ import msgspec
 
 from fibaction._api import ClientConnection, connect
 from fibaction.border.goal_store import StoredGoal
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.goal_lookup import (
     DEFAULT,
@@ -24,7 +23,7 @@ from fibaction.cli.arguments.goal_lookup import (
     goals_of,
     with_past,
 )
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace, shown
 from fibaction.cli.arguments.options import json_option, url_option
 from fibaction.cli.output.goal_details import Outcomes, with_outcome
 from fibaction.cli.output.goal_table import (
@@ -39,8 +38,8 @@ from fibaction.cli.output.goal_table import (
 from fibaction.cli.output.lines import console, note, on_terminal, say, say_csv, say_json
 from fibaction.cli.process.exit_codes import ExitCode, Failure, message_of, run
 from fibaction.cli.process.signals import until_interrupted
-from fibaction.cli.verbs.echo import EventPrinter, print_events
-from fibaction.cli.verbs.workers import note_unreadable
+from fibaction.cli.verbs.actions import note_unreadable
+from fibaction.cli.verbs.follow import EventPrinter, print_events
 from fibaction.observe.monitor import AnyClient
 from fibaction.words.errors import ActionError
 from fibaction.words.goal_query import GoalQuery

@@ -15,13 +15,12 @@ import click
 
 from fibaction._api import ClientConnection, connect
 from fibaction.border.urls import without_settings
-from fibaction.cli.arguments.action_names import names_of, shown
 from fibaction.cli.arguments.import_target import AnyServer
+from fibaction.cli.arguments.names import names_of, shown
 from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import clean
-from fibaction.cli.output.lines import say, say_json
+from fibaction.cli.output.lines import log_connection, log_with_time, say, say_json
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
-from fibaction.cli.process.logs import log_connection, log_with_time
 from fibaction.cli.process.signals import stop_signals, until_interrupted
 from fibaction.cli.verbs.serve import served
 from fibaction.observe.recordings.recorder import Recorder

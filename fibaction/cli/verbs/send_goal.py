@@ -19,10 +19,9 @@ from fibaction._api import ClientConnection, connect
 from fibaction._runtime.text import printable
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.border.event_loop import Background
-from fibaction.cli.arguments.action_names import find_action, is_type, shown
 from fibaction.cli.arguments.completion import ACTION, TYPE_OR_GOAL, namespace_option
-from fibaction.cli.arguments.goal_input import PAIR, Pairs, read_goal, shell_meta
-from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.arguments.goal_text import PAIR, Pairs, read_goal, shell_meta
+from fibaction.cli.arguments.names import Namespace, find_action, is_type, shown
 from fibaction.cli.arguments.options import (
     NumberType,
     full_option,

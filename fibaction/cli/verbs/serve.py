@@ -17,13 +17,12 @@ from fibaction._api import serve
 from fibaction._runtime.log import clean_logger
 from fibaction.border.abc import StatusStream, Transport
 from fibaction.border.urls import transport_for
-from fibaction.cli.arguments.action_names import names_of
 from fibaction.cli.arguments.import_target import AnyServer, import_servers
+from fibaction.cli.arguments.names import names_of
 from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
 from fibaction.cli.output.escape import excerpt
-from fibaction.cli.output.lines import say
+from fibaction.cli.output.lines import log_events, log_with_time, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
-from fibaction.cli.process.logs import log_events, log_with_time
 from fibaction.cli.process.reload import SAME_STOP, run_reloading, started_by
 from fibaction.cli.process.signals import LastSeconds, stop_signals
 from fibaction.observe.metrics import Metrics

@@ -18,9 +18,8 @@ import click
 from fibaction.border.gateway import Gateway, GatewayTransport, ServerGroup
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.options import NumberType, reject_inproc, url_of
-from fibaction.cli.output.lines import note, say
+from fibaction.cli.output.lines import log_with_time, note, say
 from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
-from fibaction.cli.process.logs import log_with_time
 from fibaction.cli.process.signals import LastSeconds, stop_signals
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.auth import check_token

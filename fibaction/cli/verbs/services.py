@@ -8,7 +8,7 @@ from typing import Any, Final
 import anyio
 import click
 
-from fibaction.cli.arguments.goal_input import read_yaml
+from fibaction.cli.arguments.goal_text import read_yaml
 from fibaction.cli.arguments.options import full_option, json_option, url_option
 from fibaction.cli.output.escape import printable
 from fibaction.cli.output.lines import say, say_json

@@ -9,10 +9,9 @@ import click
 import msgspec
 
 from fibaction._api import connect
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.completion import ACTION, namespace_option
 from fibaction.cli.arguments.goal_lookup import ACTIONS_ASKED_AT_ONCE, ActionClients
-from fibaction.cli.arguments.namespaces import Namespace
+from fibaction.cli.arguments.names import Namespace, shown
 from fibaction.cli.arguments.options import TimeType, json_option, url_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.goal_table import aligned, duration

@@ -18,14 +18,14 @@ import msgspec
 from fibaction._api import connect
 from fibaction.border.goal_store import StoredGoal
 from fibaction.border.urls import transport_for, without_settings
-from fibaction.cli.arguments.action_names import shown
 from fibaction.cli.arguments.goal_lookup import ActionClients, find_goal, goal_digits
+from fibaction.cli.arguments.names import shown
 from fibaction.cli.arguments.options import json_option
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import note, say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode, Failure, run
-from fibaction.cli.verbs.workers import FLEETS
+from fibaction.cli.verbs.actions import FLEETS
 from fibaction.words.goals import NO_GOAL, GoalID
 
 

@@ -14,7 +14,7 @@ from fibaction._api import ClientConnection, connect
 from fibaction.border.event_loop import Background
 from fibaction.border.urls import without_settings
 from fibaction.cli.arguments.completion import namespace_option
-from fibaction.cli.arguments.namespaces import ROOT, Namespace
+from fibaction.cli.arguments.names import ROOT, Namespace
 from fibaction.cli.arguments.options import url_option
 from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.signals import until_interrupted

@@ -10,7 +10,7 @@ import pytest
 from fibaction import connect, serve
 from fibaction.border.endpoints import ForwardingEndpoint
 from fibaction.border.streams import StatusStream
-from fibaction.feeds import known_goals
+from fibaction.feeds import answers
 from tests.support.fibonacci import FIBONACCI
 from tests.support.ports import free_port
 from tests.transports.tcp.servers import new_server
@@ -80,7 +80,7 @@ class Frozen(ForwardingEndpoint):
 async def test_a_list_does_not_wait_for_a_frozen_server_until_it_counts_as_away(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(known_goals, "ANSWERING", 0.05)
+    monkeypatch.setattr(answers, "ANSWERING", 0.05)
     with anyio.fail_after(20):
         async with serve(Frozen(new_server()), "http://127.0.0.1:0") as (url,):
             found = await fetch(url, "GET", "/goals")

@@ -17,7 +17,7 @@ import msgspec
 
 from fibaction.border.abc import Endpoint
 from fibaction.border.http_access import Refused
-from fibaction.feeds.intakes import intakes_of
+from fibaction.feeds.answers import intakes_of
 from fibaction.feeds.statistics import statistics_of
 from fibaction.words.goal_query import time_of
 from fibaction.words.intake import NO_LEVERS, IntakeMode

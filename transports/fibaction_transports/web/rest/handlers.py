@@ -27,7 +27,7 @@ from fibaction.border.abc import Endpoint, cancel_each
 from fibaction.border.http_access import Refused, bearer_in
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.border.streams import GoalStream
-from fibaction.feeds.known_goals import statuses_soon
+from fibaction.feeds.answers import statuses_soon
 from fibaction.schema.payload import GoalCodec, JsonCodec
 from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.types.action import ActionInfo

@@ -1,5 +1,6 @@
-"""Goals on the command line: YAML or JSON text to plain data, checked by the action's schema; and
-their labels.
+"""Goals as text: YAML, JSON or pairs that are read, and templates to fill in.
+
+A schema comes from a server: nothing is fetched, and the work is limited.
 """
 
 from __future__ import annotations
@@ -7,32 +8,27 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from typing import Any, NoReturn, TypeAlias, cast
 
 import yaml
 
 from fibaction.border.abc import Meta
+from fibaction.cli.output.escape import excerpt
+from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.schema.payload import GoalCodec, PayloadError
-from fibaction.schema.template import Template
+from fibaction.schema.template import FORMATS, Template
 from fibaction.words.goal_query import Labels
 from fibaction.words.meta import trace_meta, with_labels
-from fibaction.words.plain_data import is_map
+from fibaction.words.plain_data import is_map, is_number, quoted
 
 Pairs: TypeAlias = tuple[str, ...]
 """A goal as words such as `speed=1.5`, or `pose.x=1` for a field in a field."""
 
 PAIR = re.compile(r"([A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*):?=(.*)", re.ASCII | re.DOTALL)
-
-
-def read_yaml(text: str, what: str) -> Any:
-    """Return the plain data in a text of YAML or JSON; that of an empty one is `{}`.
-
-    Raises:
-        Failure: The text is not YAML.
-    """
-    return _parse(text, what)
 
 
 def read_goal(text: str | Pairs, schema: dict[str, Any]) -> Any:
@@ -48,16 +44,16 @@ def read_goal(text: str | Pairs, schema: dict[str, Any]) -> Any:
     if isinstance(text, tuple):
         template = Template(schema)
         takes_fields = template.fields or template.value == {}
-        goal = _fields(text, template) if takes_fields else _parse(" ".join(text))
+        goal = _fields(text, template) if takes_fields else read_yaml(" ".join(text))
     else:
-        goal = _parse(text)
+        goal = read_yaml(text)
     try:
         return GoalCodec(schema).complete(goal)
     except PayloadError as exc:
         # `{order:3}` is YAML for a field named "order:3".
         glued = any(re.search(r'has no field ".*:', problem) for problem in exc.problems)
         advice = "; in YAML, a space follows the colon" if glued else ""
-        raise _unusable(f"{exc}{advice}") from exc
+        raise Failure(f"{exc}{advice}") from exc
 
 
 def _fields(pairs: Pairs, template: Template) -> dict[str, Any]:
@@ -77,9 +73,9 @@ def _fields(pairs: Pairs, template: Template) -> dict[str, Any]:
             inner = inner.setdefault(one, {}) if is_map(inner) else {name: inner}
             fields = template.resolved(fields.get(one)).get("properties", {})
         if not is_map(inner) or name in inner:
-            raise _unusable(f"the field {found[1]} is given twice")
+            raise Failure(f"the field {found[1]} is given twice")
         is_text = template.resolved(fields.get(name)).get("type") == "string"
-        inner[name] = found[2] if is_text else _parse(found[2] or "null")
+        inner[name] = found[2] if is_text else read_yaml(found[2] or "null")
     return goal
 
 
@@ -138,7 +134,12 @@ cast("Any", _Loader).add_implicit_resolver(  # the stub has no types for it
 )
 
 
-def _parse(text: str, what: str = "goal") -> Any:
+def read_yaml(text: str, what: str = "goal") -> Any:
+    """Return the plain data in a text of YAML or JSON; that of an empty one is `{}`.
+
+    Raises:
+        Failure: The text is not YAML.
+    """
     with suppress(ValueError, RecursionError):
         return json.loads(text)  # faster, and some JSON text is not YAML
     try:
@@ -148,11 +149,79 @@ def _parse(text: str, what: str = "goal") -> Any:
         mark = exc.problem_mark or exc.context_mark
         where = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
         problem = ", ".join(filter(None, (exc.context, exc.problem)))
-        raise _unusable(f"the {what} is not valid YAML{where}: {problem}") from exc
+        raise Failure(f"the {what} is not valid YAML{where}: {problem}") from exc
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError) as exc:
         # PyYAML raises any of these for a value with a wrong tag, such as `!!int x`.
-        raise _unusable(f"the {what} is not valid YAML: {exc}") from exc
+        raise Failure(f"the {what} is not valid YAML: {exc}") from exc
 
 
-def _unusable(text: str) -> Failure:
-    return Failure(text)
+MAX_VALUES = 10
+"""Values of an enumeration that are named."""
+MAX_CHARACTERS = 1000
+"""Characters of a template that the shell completes."""
+
+_SHELL_SAFE = re.compile(r'[A-Za-z0-9_ {}\[\]:,."+/-]*', re.ASCII)
+"""The characters that mean themselves between single quotes, whatever a shell does with them."""
+
+_KINDS = {"integer": "a whole number", "number": "a number", "string": "text", "array": "a list"}
+
+
+class GoalTemplate:
+    """A goal with a value for each field: its default, or the empty value of its type."""
+
+    def __init__(self, schema: dict[str, Any]) -> None:
+        """Make the template of a schema; of one that cannot be used, it is an empty goal."""
+        self._template = Template(schema)
+        self.goal: Any = self._template.value
+        """The goal as plain data."""
+
+    def lines(self) -> Iterator[str]:
+        """Yield the template as lines of YAML, with what is known of each field beside it."""
+        if not (is_map(self.goal) and self.goal):
+            yield as_yaml(self.goal)
+            return
+        for name, value in self.goal.items():
+            first, *others = as_yaml({name: value}).split("\n")
+            about = self._about(name)
+            yield f"{first}  # {about}" if about else first
+            yield from others
+
+    def for_shell(self) -> str:
+        """Return the template on one line; empty if a shell could change it, or it is too long."""
+        try:
+            text = json.dumps(self.goal)
+        except (TypeError, RecursionError):  # a default of the server that is not JSON
+            return ""
+        if len(text) > MAX_CHARACTERS or not _SHELL_SAFE.fullmatch(text):
+            return ""
+        return text
+
+    def _about(self, name: str) -> str:
+        """Return the kind and the description of a field, and whether it is optional."""
+        part = self._template.fields.get(name)
+        if not is_map(part):
+            return ""
+        target = self._template.resolved(part)
+        kind = _KINDS.get(str(target.get("type")), "")
+        enum = target.get("enum")
+        if enum:
+            kind = f"one of {', '.join(quoted(one) for one in islice(enum, MAX_VALUES))}"
+        elif target.get("contentEncoding") == "base64":
+            kind = "bytes in base64"
+        elif target.get("format") in FORMATS:
+            kind = str(target["format"])
+        limits = [
+            f"{word} {target[keyword]}"
+            for keyword, word in (
+                ("minimum", "at least"),
+                ("maximum", "at most"),
+                ("exclusiveMinimum", "more than"),
+                ("exclusiveMaximum", "less than"),
+            )
+            if is_number(target.get(keyword))
+        ]
+        optional = [] if name in self._template.required else ["optional"]
+        about = ", ".join(filter(None, [kind, *limits, *optional]))
+        description = part.get("description", target.get("description", ""))
+        texts = [about, description.partition("\n")[0] if isinstance(description, str) else ""]
+        return excerpt(": ".join(filter(None, texts)))

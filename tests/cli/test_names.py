@@ -1,21 +1,56 @@
-"""Namespaces: which actions they hold, how names are relative to them, and wrong ones."""
+"""Names of actions and namespaces: looked up, suggested, shown, and wrong ones."""
 
 from __future__ import annotations
 
 import pytest
 
-from fibaction import ServerNotFound
-from fibaction.cli.arguments import namespaces
-from fibaction.cli.arguments.namespaces import (
+from fibaction import ActionInfo, ServerNotFound
+from fibaction.cli.arguments import names as module
+from fibaction.cli.arguments.names import (
     ROOT,
     Namespace,
     namespace_of,
     namespaces_of,
+    no_action,
     no_namespace,
 )
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.types.action import ActionInfo
+from tests.cli.conftest import Run
 from tests.cli.served import Served, counter
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        *(["type"], ["send_goal"], ["goals"], ["goals", "-w"], ["info"], ["echo"]),
+        *(["cancel", "--all"], ["cancel"], ["attach", "aa"]),
+    ],
+    ids=lambda verb: " ".join(verb),
+)
+def test_every_verb_suggests_the_near_name(here: Run, tcp: str, verb: list[str]) -> None:
+    rest = ["aa"] if verb == ["cancel"] else []
+    code, out, err = here(*verb, "fibonaci", *rest, url=tcp)
+
+    assert (code, out) == (ExitCode.UNREACHABLE, "")
+    assert err == "Error: the action /fibonaci is not served; did you mean /fibonacci?\n"
+
+
+@pytest.mark.parametrize(
+    ("known", "text"),
+    [
+        ([], "the action /x is not served, nor is any other"),
+        (["jump", "run"], "the action /x is not served; there is /jump, /run"),
+        (
+            [f"jump{i:02}" for i in range(12)],
+            "the action /x is not served; there is "
+            + ", ".join(f"/jump{i:02}" for i in range(10))
+            + ", ...",
+        ),
+    ],
+)
+def test_where_no_name_is_near_there_is_a_list(known: list[str], text: str) -> None:
+    assert no_action("x", map(ActionInfo, known)).message == text
+
 
 NAMES = ["/robot1/navigate", "robot2/navigate", "robot2/arm/pick", "robot10/navigate", "look"]
 
@@ -122,7 +157,7 @@ async def test_the_first_action_of_a_namespace_is_waited_for_if_it_has_a_node() 
 async def test_a_namespace_whose_nodes_serve_nothing_is_told_with_its_nodes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(namespaces, "LATE", 0.0)
+    monkeypatch.setattr(module, "LATE", 0.0)
     served = Robots(counter("robot1/navigate"))
     with pytest.raises(Failure) as caught:
         await Namespace("/robot3").narrow(served.connection).actions()
