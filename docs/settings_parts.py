@@ -11,7 +11,7 @@ from protocol_parts import docs_of_fields
 from fibaction.border.settings import TransportSettings
 from fibaction.wire.settings import WireSettings
 from fibaction_transports._agents.agent_http_transport import AgentHttpSettings
-from fibaction_transports._socket_lines.host_transport import HostSettings
+from fibaction_transports._socket_lines.stream_transport import HostSettings
 from fibaction_transports.nats.settings import NatsSettings
 from fibaction_transports.ros2.on_dds.dds_adapter import DdsSettings
 from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohSettings

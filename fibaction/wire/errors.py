@@ -19,8 +19,7 @@ from __future__ import annotations
 from fibaction._runtime.log import clean_logger
 from fibaction._runtime.text import REASON, excerpt, shortened
 from fibaction._runtime.text import sendable as sendable  # for transports, too
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import Failed, Goodbye, Rejected, Why
+from fibaction.wire.messages import Failed, Goodbye, Rejected, Why, encode
 from fibaction.words.errors import (
     ActionError,
     AuthenticationFailed,
@@ -59,10 +58,8 @@ _ERRORS = {number: error for error, number in NUMBERS.items()}
 
 def number_of(error: ActionError) -> int:
     """Return the number of an error: that of its class, or of the nearest base in the table."""
-    for kind in type(error).__mro__:
-        if kind in NUMBERS:
-            return NUMBERS[kind]
-    return Why.SERVER_FAILED
+    bases = (NUMBERS[kind] for kind in type(error).__mro__ if kind in NUMBERS)
+    return next(bases, Why.SERVER_FAILED)
 
 
 def error_of(message: Failed | Rejected, goal_id: GoalID | None = None) -> ActionError:

@@ -53,9 +53,8 @@ from fibaction._runtime.log import clean_logger
 from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import SLICE
 from fibaction.wire.channel import CHUNK, Line
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import UNCOUNTED, FrameMemory
-from fibaction.wire.messages import Ping
+from fibaction.wire.messages import Ping, encode
 from fibaction.words.errors import ActionError, ConnectionLost, ProtocolError
 
 MISSED = 4

@@ -17,10 +17,9 @@ from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.border.event_loop import Background
 from fibaction.wire.channel import Line
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory, FrameReader
 from fibaction.wire.link import Link, close_line, naming
-from fibaction.wire.messages import Goodbye, Why
+from fibaction.wire.messages import Goodbye, Why, encode
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session

@@ -12,9 +12,8 @@ from __future__ import annotations
 from contextlib import suppress
 
 from fibaction.border.http_access import rules
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import FrameReader
-from fibaction.wire.messages import Goodbye, Ping
+from fibaction.wire.messages import Goodbye, Ping, encode
 from fibaction.words.errors import ActionError
 from fibaction_transports.web.http.handshake import ClientHandshake, ServerHandshake
 from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming

@@ -17,10 +17,9 @@ import anyio
 from fibaction import ActionServer
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.wire.channel import Channel
-from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import FrameReader, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Hello
+from fibaction.wire.messages import VERSION, Hello, decode_from_client, decode_from_server, encode
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
 from fibaction.wire.settings import Limits, WireSettings

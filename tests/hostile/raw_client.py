@@ -15,9 +15,8 @@ import msgspec
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction._runtime.notify import Notifier
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
-from fibaction.wire.messages import VERSION, Actions, Hello, ListActions
+from fibaction.wire.messages import VERSION, Actions, Hello, ListActions, decode_from_server, encode
 
 T = TypeVar("T")
 

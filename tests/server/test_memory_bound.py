@@ -21,7 +21,6 @@ from anyio.abc import SocketStream
 
 from fibaction import Action, ActionServer, GoalHandle, Limits, Schedule, serve
 from fibaction.border.abc import Notifier
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import UNCOUNTED, framed, header
 from fibaction.wire.messages import (
     VERSION,
@@ -31,6 +30,7 @@ from fibaction.wire.messages import (
     Hello,
     SendGoal,
     WatchStatus,
+    encode,
 )
 from fibaction.wire.settings import DEFAULT_LIMITS
 

@@ -31,9 +31,8 @@ from fibaction.wire.client.connection import RemoteConnection
 from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
 from fibaction.wire.client.remote_goal import RemoteGoal
-from fibaction.wire.codec import decode_from_client
 from fibaction.wire.link import PING, Link
-from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received
+from fibaction.wire.messages import CancelAnswered, Ended, Follow, Received, decode_from_client
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.session import Session
 from fibaction.wire.server.subscriptions import WireSubscription

@@ -17,7 +17,6 @@ from anyio.abc import TaskGroup
 
 from fibaction import GoalID
 from fibaction.wire.auth import Permission
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import MAX_FRAME, header
 from fibaction.wire.messages import (
     VERSION,
@@ -36,6 +35,7 @@ from fibaction.wire.messages import (
     SendGoal,
     WatchStatus,
     Welcome,
+    encode,
 )
 from tests.simulation.facts import HOSTILE_TOKEN
 from tests.simulation.invariants import Record

@@ -14,7 +14,6 @@ import anyio
 from fibaction import GoalID
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.auth import Permission
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, framed
 from fibaction.wire.messages import (
     AskPeers,
@@ -39,6 +38,8 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
     Welcome,
+    decode_from_server,
+    encode,
 )
 from fibaction.words.errors import ProtocolError
 from tests.simulation.invariants import Record

@@ -28,7 +28,6 @@ from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.server.scheduling.scheduled_goals import Busy
 from fibaction.wire.client.connection import RemoteConnection
 from fibaction.wire.client.reconnect import Reconnector
-from fibaction.wire.codec import decode_from_server
 from fibaction.wire.messages import (
     CancelAnswered,
     Ended,
@@ -36,6 +35,7 @@ from fibaction.wire.messages import (
     Following,
     GoalChanged,
     StatusChanged,
+    decode_from_server,
 )
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.requests import Answer

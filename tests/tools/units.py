@@ -43,6 +43,7 @@ ALSO = {
         "tests/transports/tcp",
         "tests/transports/web",
     ],
+    "transports/fibaction_transports/tcp.py": ["tests/transports/tcp"],
     "transports/fibaction_transports/keywords.py": ["tests/transports/test_setting_keywords.py"],
     "transports/fibaction_transports/rtps": ["tests/transports/ros2"],
 }

@@ -15,7 +15,7 @@ from fibaction.observe.metrics import Metrics
 from fibaction.observe.sources import Sources
 from fibaction.wire.auth import Authorize
 from fibaction.wire.settings import Limits
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 
 
 class AgentPolicyKeywords(TypedDict, total=False):

@@ -23,7 +23,7 @@ from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed,
 from fibaction.cli.process.signals import LastSeconds, stop_signals
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.auth import check_token
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import TransportError
 
 TOKEN = "FIBACTION_MCP_TOKEN"

@@ -47,7 +47,6 @@ from fibaction.wire.client.open_calls import OpenCalls
 from fibaction.wire.client.reconnect import Reconnector
 from fibaction.wire.client.remote_goal import RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import error_of_goodbye
 from fibaction.wire.link import FIRST_PING, Link, close_line, naming
 from fibaction.wire.messages import (
@@ -68,6 +67,8 @@ from fibaction.wire.messages import (
     Received,
     Welcome,
     Why,
+    decode_from_server,
+    encode,
 )
 from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import (

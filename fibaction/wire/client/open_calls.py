@@ -32,7 +32,6 @@ from fibaction.wire.channel import CHUNK
 from fibaction.wire.client.calls import Call, PendingRequest, unfitting
 from fibaction.wire.client.remote_goal import OnLost, RemoteGoal
 from fibaction.wire.client.remote_statuses import RemoteStatuses, StatusWatch, info_of
-from fibaction.wire.codec import encode
 from fibaction.wire.errors import error_of, sendable
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.link import Link
@@ -58,6 +57,7 @@ from fibaction.wire.messages import (
     SendGoal,
     Watching,
     WatchStatus,
+    encode,
     label_fields,
     past_fields,
     word_fields,

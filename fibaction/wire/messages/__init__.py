@@ -1,4 +1,4 @@
-"""Messages of the wire protocol.
+"""Messages of the wire protocol, and their bytes.
 
 Each message is a msgpack array that begins with the tag of its type; `docs/protocol.md` lists all
 messages. New fields are added at the end, with a default, and a peer that does not know them
@@ -9,116 +9,73 @@ Sans-I/O. The rules on which message may follow which are in the session and the
 
 from __future__ import annotations
 
-from fibaction.wire.messages.fields import (
-    LARGEST,
-    LONGEST_HEARTBEAT,
-    LONGEST_TIMEOUT,
-    VERSION,
-    Goodbye,
-    Ping,
-    Seconds,
-    label_fields,
-    labels_from,
-    parent_fields,
-    parent_from,
-    past_fields,
-    past_from,
-    told_labels,
-    word_fields,
-)
-from fibaction.wire.messages.from_client import (
-    AskLog,
-    AskPeers,
-    AskPlaces,
-    AwaitServer,
-    CancelGoals,
-    Close,
-    Credit,
-    Follow,
-    FromClient,
-    Hello,
-    ListActions,
-    Operate,
-    Received,
-    Rerun,
-    SendGoal,
-    WatchStatus,
-)
-from fibaction.wire.messages.from_server import (
-    Actions,
-    CancelAnswered,
-    Done,
-    Ended,
-    Failed,
-    Feedback,
-    FeedbackBatch,
-    Finished,
-    Following,
-    FromServer,
-    GoalChanged,
-    Logged,
-    Operated,
-    Peers,
-    Places,
-    Rejected,
-    RunsAgain,
-    StatusChanged,
-    Watching,
-    Welcome,
-    Why,
-)
+from typing import get_args
 
-__all__ = [
-    "LARGEST",
-    "LONGEST_HEARTBEAT",
-    "LONGEST_TIMEOUT",
-    "VERSION",
-    "Actions",
-    "AskLog",
-    "AskPeers",
-    "AskPlaces",
-    "AwaitServer",
-    "CancelAnswered",
-    "CancelGoals",
-    "Close",
-    "Credit",
-    "Done",
-    "Ended",
-    "Failed",
-    "Feedback",
-    "FeedbackBatch",
-    "Finished",
-    "Follow",
-    "Following",
-    "FromClient",
-    "FromServer",
-    "GoalChanged",
-    "Goodbye",
-    "Hello",
-    "ListActions",
-    "Logged",
-    "Operate",
-    "Operated",
-    "Peers",
-    "Ping",
-    "Places",
-    "Received",
-    "Rejected",
-    "Rerun",
-    "RunsAgain",
-    "Seconds",
-    "SendGoal",
-    "StatusChanged",
-    "WatchStatus",
-    "Watching",
-    "Welcome",
-    "Why",
-    "label_fields",
-    "labels_from",
-    "parent_fields",
-    "parent_from",
-    "past_fields",
-    "past_from",
-    "told_labels",
-    "word_fields",
-]
+import msgspec
+
+from fibaction._runtime.text import excerpt
+from fibaction.wire.messages.fields import *  # noqa: F403  # every message is a name of this package
+from fibaction.wire.messages.fields import Ping
+from fibaction.wire.messages.from_client import *  # noqa: F403  # as above
+from fibaction.wire.messages.from_client import FromClient
+from fibaction.wire.messages.from_server import *  # noqa: F403  # as above
+from fibaction.wire.messages.from_server import FromServer
+from fibaction.words.errors import ProtocolError
+from fibaction.words.goals import GoalID
+
+
+def _plain(value: object) -> bytes:
+    if isinstance(value, GoalID):
+        return bytes(value)
+    raise TypeError(f"a message cannot contain a {type(value).__name__}")
+
+
+encode = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+"""Encode a message as bytes."""
+
+_from_client: msgspec.msgpack.Decoder[FromClient] = msgspec.msgpack.Decoder(FromClient)
+_from_server: msgspec.msgpack.Decoder[FromServer] = msgspec.msgpack.Decoder(FromServer)
+
+
+NEWEST_TAG = max(kind.__struct_config__.tag for kind in get_args(FromServer))
+"""The highest tag of the messages that a server of this version sends."""
+NEWEST_FROM_CLIENT = max(kind.__struct_config__.tag for kind in get_args(FromClient))
+"""The highest tag of the messages that a client of this version sends."""
+
+
+def _tag_of(frame: bytes) -> int:
+    """Return the tag of a message; -1 if the frame is none."""
+    try:
+        head, *_ = msgspec.msgpack.decode(frame, type=list[msgspec.Raw])
+        return msgspec.msgpack.decode(head, type=int)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return -1
+
+
+def decode_from_client(frame: bytes) -> FromClient:
+    """Decode a message that a client sent.
+
+    Raises:
+        ProtocolError: The frame is not a valid message of a client.
+    """
+    try:
+        return _from_client.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+        text = excerpt(str(exc))
+    # Raised here, so that it does not keep the error above, which may hold the whole frame.
+    raise ProtocolError(f"invalid client message: {text}")
+
+
+def decode_from_server(frame: bytes) -> FromServer:
+    """Decode a message that a server sent; one of a newer kind counts as a sign of life, `Ping`.
+
+    Raises:
+        ProtocolError: The frame is not a valid message of a server.
+    """
+    try:
+        return _from_server.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as exc:
+        text = excerpt(str(exc))
+    if _tag_of(frame) > NEWEST_TAG:
+        return Ping()
+    raise ProtocolError(f"invalid server message: {text}")

@@ -18,8 +18,7 @@ asked for and told in the same way; it is a list of an action.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeAlias
 
 from anyio import CancelScope, Lock
@@ -211,8 +210,11 @@ class RequestHandlers:
             async with self._listing[message.action]:
                 statuses = await endpoint.status()
                 subscription.stop_with(statuses.close)
-                with _closing_after_error(statuses):
+                try:
                     await self._say(Watching(message.id, statuses.known))
+                except BaseException:
+                    statuses.close()
+                    raise
             with statuses:
                 await self._tell_statuses(message.id, statuses, subscription)
         finally:
@@ -326,12 +328,3 @@ class RequestHandlers:
     async def _list_actions(self, message: ListActions, _subscription: RequestSubscription) -> None:
         infos = [endpoint.info for endpoint in self._endpoints.values()]
         await self._say(Actions(message.id, infos))
-
-
-@contextmanager
-def _closing_after_error(statuses: StatusStream) -> Generator[None, None, None]:
-    try:
-        yield
-    except BaseException:
-        statuses.close()
-        raise

@@ -46,12 +46,12 @@ from fibaction._runtime.release import RELEASE
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.wire.codec import NEWEST_FROM_CLIENT, decode_from_client, encode
 from fibaction.wire.errors import failed, failure_of, fitting, goodbye_of
 from fibaction.wire.frames import FIRST_FRAME
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     LONGEST_HEARTBEAT,
+    NEWEST_FROM_CLIENT,
     VERSION,
     Close,
     Credit,
@@ -66,6 +66,8 @@ from fibaction.wire.messages import (
     SendGoal,
     Welcome,
     Why,
+    decode_from_client,
+    encode,
 )
 from fibaction.wire.server.ownership import Owners
 from fibaction.wire.server.requests import Answer, Request, RequestHandlers

@@ -30,7 +30,6 @@ from fibaction._runtime.notify import Notifier
 from fibaction._runtime.text import sendable
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.wire.channel import CHUNK
-from fibaction.wire.codec import encode
 from fibaction.wire.errors import failed, failure_of, fitting
 from fibaction.wire.messages import (
     Ended,
@@ -40,6 +39,7 @@ from fibaction.wire.messages import (
     Following,
     SendGoal,
     StatusChanged,
+    encode,
     parent_fields,
     told_labels,
 )

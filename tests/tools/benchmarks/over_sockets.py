@@ -21,8 +21,8 @@ from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction import GoalStatus
 from fibaction.wire import messages
-from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.frames import MAX_FRAME, FrameReader, header
+from fibaction.wire.messages import decode_from_client, decode_from_server, encode
 from fibaction.words.goals import GoalID
 from tests.tools.benchmarks.contender import AT_ONCE, PACED, Contender, Ends, messages_of
 from tests.tools.benchmarks.inprocess import ACTION, Feedback, Goal, Result

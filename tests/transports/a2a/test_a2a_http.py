@@ -15,7 +15,7 @@ from fibaction import TransportError, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.settings import Limits
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction_transports.a2a import A2aHttpTransport
 from fibaction_transports.a2a.a2a_http_transport import CARD_PATH
 from tests.support.certificates import pems

@@ -19,7 +19,7 @@ from mcp_types.jsonrpc import HEADER_MISMATCH
 from fibaction import InvalidURL, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction_transports.mcp import McpHttpTransport
 from fibaction_transports.mcp.goal_tasks import EXTENSION
 from tests.support.certificates import pems

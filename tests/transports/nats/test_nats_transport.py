@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
 from fibaction.border.urls import transport_for
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.goal_history import GoalHistory
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats import NatsTransport

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from fibaction.border.http_access import rules
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import Goodbye, Ping, Why
+from fibaction.wire.messages import Goodbye, Ping, Why, encode
 from fibaction.words.errors import (
     AuthenticationFailed,
     ConnectionLost,

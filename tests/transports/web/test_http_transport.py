@@ -14,7 +14,7 @@ from anyio.streams.tls import TLSStream
 from fibaction import LimitReached, Limits, connect, serve
 from fibaction_transports._http import exchange, http_exchange
 from fibaction_transports._http import server as server_module
-from fibaction_transports._socket_lines import on_anyio
+from fibaction_transports._socket_lines import sockets
 from fibaction_transports.web import HttpTransport
 from fibaction_transports.web.http.application import WebApplication
 from tests.support.certificates import pems
@@ -276,7 +276,7 @@ async def test_newcomers_push_each_other_out_and_no_client_that_is_known(newcome
 async def test_a_client_that_is_rejected_takes_no_place_while_it_reads_why(
     limits: Limits, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(on_anyio, "LEAVE", 60.0)
+    monkeypatch.setattr(sockets, "LEAVE", 60.0)
     async with served(limits=limits) as url, AsyncExitStack() as stack:
         async with connect(url, FIBONACCI) as client:
             await client.wait_for_server()
@@ -334,7 +334,7 @@ async def test_a_full_server_says_so(log: Hearing) -> None:
 async def test_a_client_that_is_rejected_and_reads_nothing_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(on_anyio, "LEAVE", 0.05)
+    monkeypatch.setattr(sockets, "LEAVE", 0.05)
     async with served() as url:
         async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
             await stream.send(b"?\r\n\r\n")

@@ -12,9 +12,8 @@ import anyio
 import pytest
 
 from fibaction import InvalidURL, Limits, TransportError, connect, serve
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import FrameReader, framed
-from fibaction.wire.messages import VERSION, Hello, Welcome
+from fibaction.wire.messages import VERSION, Hello, Welcome, decode_from_server, encode
 from fibaction_transports._http import application
 from fibaction_transports.web import WebTransport
 from fibaction_transports.web.http.application import NOT_SERVING

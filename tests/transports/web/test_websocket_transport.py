@@ -21,8 +21,7 @@ from fibaction import (
     serve,
 )
 from fibaction.wire import channel
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import VERSION, Hello
+from fibaction.wire.messages import VERSION, Hello, encode
 from fibaction_transports._socket_lines import protocol_line
 from fibaction_transports.web import WebSocketTransport
 from tests.support.certificates import pems

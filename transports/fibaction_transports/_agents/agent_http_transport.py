@@ -31,15 +31,14 @@ from fibaction.schema.turns import in_turn, read_json
 from fibaction.wire.auth import AccessPolicy, check_token
 from fibaction.wire.frames import FrameMemory
 from fibaction.wire.settings import DEFAULT_LIMITS, Limits
-from fibaction.wire.tls_files import TlsFiles
-from fibaction.wire.transport import ConfiguredTransport, host_only
+from fibaction.wire.transport import ConfiguredTransport, TlsFiles, host_only
 from fibaction.words.errors import TransportError
 from fibaction.words.plain_data import is_map
 from fibaction_transports._agents.robot_actions import AgentPolicy
 from fibaction_transports._http.application import HttpApplication
 from fibaction_transports._http.exchange import App, Exchange, Message, Receive, Scope, Send
 from fibaction_transports._http.server import SPEAKS_TLS, HttpServer
-from fibaction_transports._socket_lines.host_transport import check_is_safe, listen_at
+from fibaction_transports._socket_lines.stream_transport import check_is_safe, listen_at
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import AgentHttpKeywords

@@ -19,7 +19,7 @@ from anyio.abc import ByteStream
 from fibaction.border.http_access import Refused, headers_in
 from fibaction.wire.channel import CHUNK
 from fibaction_transports._http.exchange import WITHOUT_BODY, Message, Scope
-from fibaction_transports._socket_lines.on_anyio import BROKEN
+from fibaction_transports._socket_lines.sockets import BROKEN
 
 LONGEST_HEAD = 2**14
 """Bytes of a request or an answer, at most: room for the cookies of other servers of this host."""

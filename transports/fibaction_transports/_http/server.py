@@ -50,8 +50,13 @@ from fibaction_transports._http.http_exchange import (
     in_origin_form,
     is_upgrade,
 )
-from fibaction_transports._socket_lines.on_anyio import BROKEN, leave, peer_of
-from fibaction_transports._socket_lines.sockets import SocketStream, accept_sockets
+from fibaction_transports._socket_lines.sockets import (
+    BROKEN,
+    SocketStream,
+    accept_sockets,
+    leave,
+    peer_of,
+)
 from fibaction_transports._socket_lines.stream_transport import accepting
 from fibaction_transports._socket_lines.tls import TlsListener
 

@@ -15,13 +15,11 @@ from anyio.streams.tls import TLSListener, TLSStream
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import StreamChannel
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import framed
-from fibaction.wire.messages import Goodbye, Why
+from fibaction.wire.messages import Goodbye, Why, encode
 from fibaction.wire.server.addresses import Addresses, Candidate
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, TransportError, text_of
-from fibaction_transports._socket_lines.on_anyio import leave, peer_of
-from fibaction_transports._socket_lines.sockets import serve_alone
+from fibaction_transports._socket_lines.sockets import leave, peer_of, serve_alone
 
 SPEAKS_TLS = framed([encode(Goodbye("this server speaks TLS: use tls://", Why.PROTOCOL))])
 """The answer to a client that does not begin with TLS. OpenSSL has no alert for it."""

@@ -10,7 +10,7 @@ from typing import ClassVar
 import msgspec
 
 from fibaction.wire.settings import WireSettings
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import TransportError
 from fibaction.words.goal_history import DAY, GoalHistory
 from fibaction_transports.nats.names import token_of

@@ -4,7 +4,7 @@ The URLs are `http://host:port`, `ws://host:port` and, for clients of a robot wi
 `rosbridge://host:port`. `WebTransport` makes an ASGI application. All of them need the extra `web`.
 """
 
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.extras import NeedsExtra
 
 with NeedsExtra("fibaction_transports.web", "fibaction[web]"):

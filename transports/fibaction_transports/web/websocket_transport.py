@@ -11,7 +11,7 @@ from fibaction.border.settings import TransportSettings
 from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.transport import without_user
 from fibaction_transports._http.http_exchange import http_answer
-from fibaction_transports._socket_lines.host_transport import (
+from fibaction_transports._socket_lines.stream_transport import (
     HostSettings,
     HostTransport,
     port_in,

@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from fibaction import GoalStatus, Peer, Permission
-from fibaction.wire.codec import decode_from_client, decode_from_server, encode
 from fibaction.wire.messages import (
     AwaitServer,
     Close,
@@ -27,6 +26,9 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
     Why,
+    decode_from_client,
+    decode_from_server,
+    encode,
 )
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
 from fibaction_transports.web.rosbridge.server import topics, watched_action

@@ -9,9 +9,17 @@ import msgspec
 import pytest
 
 from fibaction.border.byte_budgets import ByteBudget
-from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.frames import FrameMemory
-from fibaction.wire.messages import Credit, Ended, Feedback, FromClient, Hello, SendGoal
+from fibaction.wire.messages import (
+    Credit,
+    Ended,
+    Feedback,
+    FromClient,
+    Hello,
+    SendGoal,
+    decode_from_client,
+    encode,
+)
 from fibaction.wire.settings import WireSettings
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.web.rosbridge.server import pending_calls

@@ -27,7 +27,7 @@ import anyio.lowlevel
 
 from fibaction.border.abc import Notifier
 from fibaction.border.event_loop import asyncio_loop
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ServerNotFound, TransportError
 from fibaction_transports._socket_lines.tls import rejection, tls_reason
 from fibaction_transports.nats.broker.broker import Message

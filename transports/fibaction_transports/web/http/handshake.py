@@ -16,8 +16,7 @@ from wsproto.utilities import generate_accept_token, generate_nonce
 
 from fibaction.border.http_access import HttpRules, Refused, headers_in
 from fibaction.border.peer_text import excerpt
-from fibaction.wire.codec import decode_from_server
-from fibaction.wire.messages import Goodbye
+from fibaction.wire.messages import Goodbye, decode_from_server
 from fibaction.words.errors import (
     AuthenticationFailed,
     ConnectionLost,

@@ -27,7 +27,7 @@ from anyio.abc import TaskGroup
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import Line
 from fibaction.wire.settings import LineSettings
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,

@@ -8,7 +8,6 @@ from typing import TypeAlias, cast
 
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
-from fibaction.wire.codec import encode
 from fibaction.wire.errors import sendable
 from fibaction.wire.messages import (
     Actions,
@@ -23,6 +22,7 @@ from fibaction.wire.messages import (
     Received,
     Rejected,
     SendGoal,
+    encode,
 )
 from fibaction.words.goals import GoalID
 from fibaction_transports.web.rosbridge.operations import Arguments, ClientID

@@ -33,7 +33,6 @@ import msgspec
 from fibaction.border.abc import Endpoint, Notifier
 from fibaction.border.peer_text import excerpt
 from fibaction.schema.payload import PayloadError
-from fibaction.wire.codec import encode
 from fibaction.wire.messages import (
     Close,
     Credit,
@@ -47,6 +46,7 @@ from fibaction.wire.messages import (
     Received,
     Watching,
     Why,
+    encode,
 )
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
 from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT

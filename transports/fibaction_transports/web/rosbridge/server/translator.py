@@ -47,7 +47,6 @@ from fibaction.border.abc import Endpoint
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.schema.payload import PayloadError
 from fibaction.schema.turns import Pause, in_turn
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.errors import sendable
 from fibaction.wire.frames import FIRST_FRAME, FrameMemory
 from fibaction.wire.link import OVERFULL
@@ -57,6 +56,8 @@ from fibaction.wire.messages import (
     Hello,
     Ping,
     Welcome,
+    decode_from_server,
+    encode,
 )
 from fibaction.wire.settings import WireSettings
 from fibaction.words.errors import ProtocolError, RejectionCode

@@ -1,4 +1,4 @@
-"""`tcp://host:port`, `tls://host:port`, and `unix:///path`, a Unix domain socket."""
+"""`tcp://host:port`, `tls://host:port` and `unix:///path`: actions across processes."""
 
 from __future__ import annotations
 
@@ -16,15 +16,21 @@ from fibaction.border.event_loop import asyncio_task
 from fibaction.wire.channel import Line, StreamChannel
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import WireSettings
-from fibaction.wire.transport import host_only
+from fibaction.wire.transport import TlsFiles, host_only
 from fibaction.words.errors import TransportError
 from fibaction_transports._socket_lines import on_asyncio
-from fibaction_transports._socket_lines.host_transport import HostSettings, HostTransport, port_in
-from fibaction_transports._socket_lines.stream_transport import StreamTransport
+from fibaction_transports._socket_lines.stream_transport import (
+    HostSettings,
+    HostTransport,
+    StreamTransport,
+    port_in,
+)
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import HostKeywords, WireKeywords
 
+
+__all__ = ["TcpTransport", "TlsFiles", "UnixTransport"]
 
 HOST, PORT = "127.0.0.1", 7400
 """The default address: on this machine only."""
