@@ -92,30 +92,30 @@ async def failed() -> str:
     return written.getvalue()
 
 
-async def test_the_bar_of_tqdm_ends_full_only_if_the_goal_succeeds() -> None:
+@pytest.mark.parametrize(
+    ("missing", "full", "half"),
+    [
+        ((), " 3/3 [", " 2/3 ["),
+        (("tqdm.auto",), "100%", " 67%"),
+        (("tqdm.auto", "rich.console"), "file [2] 100 %\n", "file [2] 60 %\n"),
+    ],
+    ids=["tqdm", "rich", "text"],
+)
+async def test_the_progress_ends_full_only_if_the_goal_succeeds(
+    missing: tuple[str, ...], full: str, half: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without(monkeypatch, *missing)
+
     def last(written: str) -> str:
-        return written.rstrip().rsplit("\r", 1)[-1]
+        return written.rstrip(" ").rsplit("\r", 1)[-1]
 
-    assert " 3/3 [" in last(await tracked(ActionServer(COPY, half_a_copy)))
-    assert " 2/3 [" in last(await failed())
-
-
-async def test_the_bar_of_rich_ends_full_only_if_the_goal_succeeds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    without(monkeypatch, "tqdm.auto")
-    assert "100%" in await tracked(ActionServer(COPY, half_a_copy))
-    assert " 67%" in await failed()
-    for feedback in (0, 2):  # without a total, and without any feedback
-        assert "100%" in await tracked(counting(), feedback)
-
-
-async def test_the_lines_of_text_end_with_all_only_if_the_goal_succeeds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    without(monkeypatch, "tqdm.auto", "rich.console")
-    assert await tracked(ActionServer(COPY, half_a_copy)) == "file [2] 60 %\nfile [2] 100 %\n"
-    assert await failed() == "file [2] 60 %\n"
+    assert full in last(await tracked(ActionServer(COPY, half_a_copy)))
+    written = last(await failed())
+    assert half in written
+    assert full not in written
+    if missing == ("tqdm.auto",):
+        for feedback in (0, 2):  # without a total, and without any feedback
+            assert full in await tracked(counting(), feedback)
 
 
 async def test_lines_of_text_tell_the_progress_without_both(

@@ -13,9 +13,8 @@ from anyio.abc import SocketAttribute, SocketStream
 from wsproto.events import BytesMessage
 
 from fibaction._runtime.notify import Notifier
-from fibaction.wire.codec import decode_from_server
 from fibaction.wire.frames import FrameReader, Framing
-from fibaction.wire.messages import FromServer
+from fibaction.wire.messages import FromServer, decode_from_server
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.web.http.handshake import ClientHandshake
 from fibaction_transports.web.http.websocket_frames import BinaryMessages, WebSocketFraming

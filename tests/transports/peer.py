@@ -1,4 +1,4 @@
-"""A process of its own, to be killed: `peer.py serve URL`, or `peer.py send URL ORDER`.
+"""A process of its own, to be killed: `serve URL`, or `send URL ORDER`.
 
 The server yields one feedback, and gives a result for order 0 only. The client sends a goal, and
 says so when the first feedback has come.
@@ -10,24 +10,9 @@ import sys
 from collections.abc import AsyncGenerator
 
 import anyio
-import msgspec
 
-from fibaction import Action, ActionServer, GoalHandle, connect, serve
-
-
-class Goal(msgspec.Struct):
-    order: int
-
-
-class Feedback(msgspec.Struct):
-    partial_sequence: list[int]
-
-
-class Result(msgspec.Struct):
-    sequence: list[int]
-
-
-FIBONACCI = Action("fibonacci", goal=Goal, feedback=Feedback, result=Result)
+from fibaction import ActionServer, GoalHandle, connect, serve
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
 async def slowly(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:

@@ -30,8 +30,6 @@ class Line:
         """How many connections there have been, those that were refused included."""
         self.refuses = False
         """Whether new connections are closed at once."""
-        self.chunk = 2**16
-        """Bytes that are handed on at once."""
         self.delay = 0.0
         """Seconds that everything takes longer."""
         self._quiet: set[str] = set()
@@ -56,17 +54,6 @@ class Line:
         with anyio.fail_after(30):
             await self._swallowed.wait()
 
-    async def half_close(self) -> None:
-        """End what goes to the servers, and leave the other direction open."""
-        for upstream in self._streams.values():
-            await upstream.send_eof()
-
-    async def until(self, connections: int) -> None:
-        """Wait until there have been so many connections."""
-        with anyio.fail_after(30):
-            while self.opened < connections:
-                await self._changed.wait()
-
     async def serve(self, client: SocketStream, port: int) -> None:
         self.opened += 1
         self._changed.notify()
@@ -88,12 +75,11 @@ class Line:
         try:
             while True:
                 data = await source.receive()
-                for start in range(0, len(data), self.chunk):
-                    await anyio.sleep(self.delay)
-                    while direction in self._quiet:
-                        self._swallowed.set()
-                        await self._changed.wait()
-                    await target.send(data[start : start + self.chunk])
+                await anyio.sleep(self.delay)
+                while direction in self._quiet:
+                    self._swallowed.set()
+                    await self._changed.wait()
+                await target.send(data)
         except anyio.EndOfStream:
             with suppress(*BROKEN):
                 await target.send_eof()

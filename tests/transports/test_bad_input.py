@@ -25,10 +25,9 @@ from fibaction import (
     serve,
 )
 from fibaction.feeds.feedback_log import FeedbackCursor
-from fibaction.wire.codec import encode
 from fibaction.wire.frames import FIRST_FRAME, framed, header
 from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Goodbye, Hello, SendGoal, Why
+from fibaction.wire.messages import VERSION, Goodbye, Hello, SendGoal, Why, encode
 from fibaction.wire.settings import Limits
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw

@@ -18,7 +18,6 @@ import pytest
 from anyio.abc import SocketAttribute, SocketStream
 
 from fibaction import ActionServer, serve
-from fibaction.wire.codec import decode_from_client, encode
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import (
     VERSION,
@@ -32,6 +31,8 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     Welcome,
+    decode_from_client,
+    encode,
 )
 from fibaction.words.statuses import GoalStatus
 from tests.support.processes import PATIENCE, ended

@@ -16,7 +16,6 @@ from fibaction.server import ActionServer, Schedule
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import Channel
 from fibaction.wire.client.connection import open_connection
-from fibaction.wire.codec import decode_from_client, decode_from_server
 from fibaction.wire.frames import MAX_FRAME
 from fibaction.wire.messages import (
     VERSION,
@@ -32,6 +31,8 @@ from fibaction.wire.messages import (
     Watching,
     WatchStatus,
     Welcome,
+    decode_from_client,
+    decode_from_server,
 )
 from fibaction.wire.settings import ClientSettings, Limits, WireSettings
 from fibaction.wire.wire_server import WireServer, open_server

@@ -16,8 +16,7 @@ from anyio.lowlevel import checkpoint
 
 from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Channel
-from fibaction.wire.codec import encode
-from fibaction.wire.messages import Ping
+from fibaction.wire.messages import Ping, encode
 from fibaction.words.errors import ConnectionLost
 
 T = TypeVar("T")

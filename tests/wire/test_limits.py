@@ -23,7 +23,6 @@ from fibaction.feeds import feedback_window
 from fibaction.server import ActionServer, GoalHandle
 from fibaction.testing import ScriptedServer
 from fibaction.wire.channel import CHUNK, Line, NextFrames, OnFrames, StreamChannel
-from fibaction.wire.codec import decode_from_server, encode
 from fibaction.wire.frames import (
     FIRST_FRAME,
     LEAST_FRAME,
@@ -57,6 +56,8 @@ from fibaction.wire.messages import (
     StatusChanged,
     Welcome,
     Why,
+    decode_from_server,
+    encode,
 )
 from fibaction.wire.server.subscriptions import PIECE
 from fibaction.wire.settings import ClientSettings, Limits
@@ -803,21 +804,6 @@ async def link_over_handed(handle: Callable[[bytes], None], tasks: Any) -> tuple
     tasks.start_soon(link.run, handle)
     await settled()
     return line, link
-
-
-@pytest.mark.usefixtures("slow")
-async def test_after_a_slice_the_rest_of_the_frames_goes_back_to_the_line() -> None:
-    heard: list[bytes] = []
-    frames = [b"%d" % number for number in range(5)]
-    async with anyio.create_task_group() as tasks:
-        line, _ = await link_over_handed(heard.append, tasks)
-        rest = line.on_frames(frames)
-        assert heard == frames[:2]
-        assert rest == frames[2:]
-        while rest:
-            rest = line.on_frames(rest)
-        assert heard == frames
-        tasks.cancel_scope.cancel()
 
 
 async def test_the_queue_is_written_in_pieces() -> None:

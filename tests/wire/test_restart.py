@@ -26,7 +26,6 @@ from fibaction.wire.messages import (
     Follow,
     Following,
     Goodbye,
-    Received,
     Rejected,
     SendGoal,
     Why,
@@ -314,23 +313,6 @@ async def test_the_client_that_sent_a_goal_owns_it_after_a_restart(session: byte
             await (await served.greet(other)).ask(follow(0), Following)
     # A client without a session is another one on each connection.
     assert kept.owned == [bool(session), False]
-
-
-async def test_the_end_of_a_goal_is_kept_for_its_client_also_after_a_restart() -> None:
-    kept = Kept()
-    async with await started_again(kept) as served:
-        client = await served.greet()
-        assert await client.ask(follow(0), Following)
-        kept.end()
-        for _ in range(2):
-            ended = await client.hear(Ended)
-            client.channel.cut()
-            kept.error = UnknownGoal(GOAL_ID)
-            client = await served.greet()
-            assert await client.ask(follow(0), Following)
-        assert await client.hear(Ended) == ended
-        await client.say(Received(1))
-        assert (await client.ask(follow(0), Failed)).why == Why.UNKNOWN_GOAL
 
 
 async def test_a_client_that_may_only_send_may_follow_its_own_goals_after_a_restart() -> None:

@@ -14,10 +14,9 @@ import anyio
 import pytest
 
 from fibaction import ActionServer
-from fibaction.border.abc import Connection, GoalRequest
+from fibaction.border.abc import Connection
 from fibaction.testing import ScriptedServer
 from fibaction.wire.auth import Permission
-from fibaction.wire.codec import encode
 from fibaction.wire.link import HIGH_WATER, OVERFULL
 from fibaction.wire.messages import (
     VERSION,
@@ -40,6 +39,7 @@ from fibaction.wire.messages import (
     WatchStatus,
     Welcome,
     Why,
+    encode,
 )
 from fibaction.wire.server.ownership import EndOnly
 from fibaction.wire.settings import ClientSettings, Limits, WireSettings
@@ -228,27 +228,6 @@ async def test_a_goal_whose_client_does_not_come_back_is_canceled_after_the_grac
         ]
 
 
-@in_virtual_time()
-async def test_a_client_that_comes_back_while_its_goal_is_being_canceled_is_told_the_end() -> None:
-    asked, go = anyio.Event(), anyio.Event()
-
-    async def decide(goal: Any) -> None:
-        asked.set()
-        await go.wait()
-
-    server = running(anyio.Event(), on_cancel=decide)
-    async with serving(server, then="cancel", grace=10) as served:
-        client = await served.greet()
-        await client.send(1)
-        client.channel.cut()
-        await asked.wait()
-        client = await served.greet()
-        assert (await client.ask(follow(None), Following)).status == EXECUTING
-        go.set()
-        ended = [message for message in await client.hear_all() if type(message) is Ended]
-        assert [message.status for message in ended] == [GoalStatus.CANCELED]
-
-
 async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
     async with serving(held(), then="cancel") as served:
         client, other = await served.greet(ANN), await served.greet(BOB)
@@ -269,33 +248,6 @@ async def test_a_client_that_may_only_send_may_follow_its_own_goals_again() -> N
             assert (await other.ask(follow(0), Failed)).why == Why.FORBIDDEN
         ann = await served.greet(ANN)
         assert (await ann.ask(follow(0), Following)).status == EXECUTING
-
-
-@in_virtual_time()
-async def test_a_goal_that_is_accepted_while_the_connection_ends_waits_for_its_client() -> None:
-    go = anyio.Event()
-
-    class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
-        def offer_goal(self, request: GoalRequest) -> Any:
-            async def answer() -> Any:
-                with anyio.CancelScope(shield=True):
-                    await go.wait()
-                return ScriptedServer.offer_goal(self, request)
-
-            return answer()
-
-    server = Slow(FIBONACCI, [anyio.Event()])
-    async with serving(server, then="cancel", grace=10) as served:
-        client = await served.greet()
-        await client.say(send(1))
-        await settled()
-        client.channel.cut()
-        await settled()
-        go.set()
-        await anyio.sleep(9)
-        assert await status_of(server) is EXECUTING
-        await anyio.sleep(2)
-        assert await status_of(server) is GoalStatus.CANCELED
 
 
 @pytest.mark.parametrize("error", [ConnectionLost("the gateway is away"), ValueError("a bug")])
@@ -319,28 +271,6 @@ async def test_a_goal_that_cannot_be_canceled_is_logged_and_harms_no_other(
 
 
 # At the server: a goal that was sent twice
-
-
-@pytest.mark.parametrize("is_lost", [True, False])
-@in_virtual_time()
-async def test_of_a_goal_that_was_sent_twice_the_last_call_is_waited_for(is_lost: bool) -> None:
-    server = running(*feedback(*range(30)), fib.Result([]), feedback_window=4)
-    async with serving(server, grace=10) as served:
-        client = await served.greet()
-        await client.send(1, credit=1)
-        await client.say(send(2, credit=1))
-        await client.hear_all()
-        if not is_lost:  # the end of the first leaves the goal to the second
-            await client.say(Close(1))
-            await client.hear_all()
-            assert await status_of(server) is EXECUTING
-        client.channel.cut()
-        await anyio.sleep(9)
-        assert await status_of(server) is EXECUTING
-        again = await served.greet()
-        await again.say(follow(1, credit=100))
-        assert kinds(await again.hear_all())[-1] is Ended
-        assert await status_of(server) is SUCCEEDED
 
 
 @pytest.mark.parametrize("again", [[follow(0, request=1), send(2)], [send(1), send(2)]])
@@ -445,22 +375,6 @@ async def test_the_end_of_a_goal_can_be_told_once_more_without_its_feedback() ->
         assert (end.take(), end.known_outcome(), end.cursor) == ((outcome,), outcome, 2)
         assert (end.goal_id, end.stamp, end.status) == (GOAL_ID, stream.stamp, SUCCEEDED)
         assert end.info == stream.info
-
-
-async def test_a_server_can_close_while_it_releases_the_goals_of_a_lost_connection(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    let_slices_last(monkeypatch, 0)
-    for turns in range(30):  # at each of which another part of them is released
-        server = running(*feedback(*range(100)), fib.Result([]), feedback_window=4)
-        async with serving(server) as served:
-            client = await served.greet()
-            ids = [bytes([turns, number]).ljust(16) for number in range(20)]
-            await client.say(*(send(number, goal_id, 1) for number, goal_id in enumerate(ids)))
-            await client.hear_all()
-            client.channel.cut()
-            for _ in range(turns):
-                await anyio.lowlevel.checkpoint()
 
 
 # At the client: calls

@@ -53,9 +53,11 @@ from fibaction.words.errors import (
     ConnectionLost,
     GoalAborted,
     GoalRejected,
+    InvalidTransition,
 )
 from fibaction.words.goals import GoalID
 from fibaction.words.intake import IntakeMode
+from fibaction.words.statuses import GoalEvent
 from tests.support import fibonacci as fib
 from tests.support.fibonacci import FIBONACCI
 from tests.support.virtual_time import in_virtual_time
@@ -393,6 +395,14 @@ def raising(error: BaseException) -> ScriptedServer[fib.Goal, fib.Feedback, fib.
     return Raising(FIBONACCI, [anyio.Event()])
 
 
+async def test_an_error_without_a_number_is_told_as_one_of_the_server() -> None:
+    error = InvalidTransition(EXECUTING, GoalEvent.EXECUTE)
+    async with serving(raising(error)) as served:
+        client = await served.greet()
+        failed = await client.ask(WatchStatus(1, "fibonacci", 1), Failed)
+        assert failed == Failed(1, Why.SERVER_FAILED, str(error))
+
+
 async def test_an_error_that_is_a_bug_fails_that_request_and_is_told_by_its_kind_only() -> None:
     async with serving(raising(ValueError("a secret"))) as served:
         client = await served.greet()
@@ -535,84 +545,6 @@ async def test_a_stream_that_cannot_be_left_or_drained_harms_no_other_client(
         ]
 
 
-# A connection that ends in the middle of something
-
-
-class Slow(ScriptedServer[fib.Goal, fib.Feedback, fib.Result]):
-    """A server that takes its time, and counts how often it was asked, and not waited for."""
-
-    def __init__(self, *, shielded: bool = False, error: Exception | None = None) -> None:
-        super().__init__(FIBONACCI, [anyio.Event()])
-        self.go = anyio.Event()
-        self.given_up = self.asked = 0
-        self._shielded = shielded
-        self._error = error
-
-    async def pause(self) -> None:
-        self.asked += 1
-        try:
-            with anyio.CancelScope(shield=self._shielded):
-                await self.go.wait()
-        except BaseException:
-            self.given_up += 1
-            raise
-        if self._error is not None:
-            raise self._error
-
-    def offer_goal(self, request: GoalRequest) -> Any:
-        async def answer() -> Any:
-            await self.pause()
-            return ScriptedServer.offer_goal(self, request)
-
-        return answer()
-
-    async def feedback(self, *args: Any, **kwargs: Any) -> Any:
-        await self.pause()
-        return await super().feedback(*args, **kwargs)
-
-    async def cancel_goals(self, *args: Any, **kwargs: Any) -> Any:
-        await self.pause()
-        return await super().cancel_goals(*args, **kwargs)
-
-
-@pytest.mark.parametrize("message", [send(1), follow(0)], ids=type)
-@pytest.mark.parametrize("begun", [True, False])
-async def test_a_request_that_is_not_answered_when_the_connection_ends_is_given_up(
-    message: Any, begun: bool
-) -> None:
-    server = Slow()
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(message)
-        if begun:
-            await settled()
-            assert server.asked == 1
-        client.channel.cut()
-        await settled()
-        assert server.given_up == server.asked
-
-
-@pytest.mark.parametrize("message", [send(1), follow(0), CancelGoals(1, "fibonacci", A, None)])
-@pytest.mark.parametrize("error", [None, GoalRejected("no arm"), ValueError("a bug")], ids=repr)
-async def test_an_answer_that_comes_after_the_connection_has_ended_is_dropped(
-    message: Any, error: Exception | None
-) -> None:
-    server = Slow(shielded=True, error=error)
-    async with serving(server) as served:
-        client = await served.greet()
-        await client.say(message)
-        await settled()
-        with logged() as lines:
-            await client.say(Hello(VERSION, LONG))
-            await settled()
-            server.go.set()
-            await client.hear(Goodbye)
-            await client.hear_the_end()
-        ends = [text for level, text in texts(lines) if level == logging.WARNING]
-        assert ends == ["the client: it said hello twice"]
-        assert len(lines) == 1 or error is not None  # a bug is logged, too
-
-
 # Several connections, and the end of the server
 
 
@@ -680,14 +612,6 @@ async def has_succeeded(server: Server) -> None:
     observer = await server.feedback(GoalID(A), after=0)
     await settled()
     assert observer.status is SUCCEEDED
-
-
-async def test_a_server_that_has_closed_holds_no_executor_up() -> None:
-    async with talking() as server:
-        async with serving() as served:
-            served.endpoints["fibonacci"] = server
-            await (await served.greet()).send(1, credit=1)
-        await has_succeeded(server)
 
 
 @pytest.mark.parametrize("anyio_backend", ["asyncio"])

@@ -17,7 +17,7 @@ REACHED_IN = {
     "connections": "wire/test_admission.py",
     "per_address": "wire/test_admission.py",
     "goals": "wire/test_limits.py",
-    "follows": "wire/test_request_limits.py",
+    "follows": "wire/test_admission.py",
     "lost": "wire/test_resume.py",
     "requests": "wire/test_limits.py",
     "frame": "wire/test_limits.py",

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from fibaction._runtime.text import LENGTH, REASON
-from fibaction.wire.codec import encode
 from fibaction.wire.link import Link
 from fibaction.wire.messages import (
     CancelAnswered,
@@ -22,6 +21,7 @@ from fibaction.wire.messages import (
     Rejected,
     SendGoal,
     Why,
+    encode,
 )
 from fibaction.words.errors import (
     ActionError,

@@ -9,8 +9,7 @@ import anyio
 import pytest
 from anyio.abc import SocketAttribute
 
-from fibaction_transports._socket_lines.on_anyio import peer_of
-from fibaction_transports._socket_lines.sockets import SocketStream
+from fibaction_transports._socket_lines.sockets import SocketStream, peer_of
 
 pytestmark = pytest.mark.anyio
 

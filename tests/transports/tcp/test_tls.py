@@ -27,10 +27,10 @@ from fibaction import (
 )
 from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
-from fibaction_transports._socket_lines import on_anyio
+from fibaction_transports._socket_lines import sockets
+from fibaction_transports._socket_lines.on_asyncio import ClientTls
 from fibaction_transports._socket_lines.tls import TlsChannel, TlsListener
 from fibaction_transports._socket_lines.tls_frames import TlsEnd
-from fibaction_transports._socket_lines.tls_lines import ClientTls
 from fibaction_transports.tcp import TcpTransport, TlsFiles
 from tests.support.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw
@@ -133,7 +133,7 @@ async def test_a_server_hears_why_a_client_refuses_it(heard: Hearing) -> None:
 async def test_who_is_refused_and_does_not_go_is_not_waited_for_long(
     monkeypatch: pytest.MonkeyPatch, heard: Hearing
 ) -> None:
-    monkeypatch.setattr(on_anyio, "LEAVE", 0.01)
+    monkeypatch.setattr(sockets, "LEAVE", 0.01)
     async with serve(new_server(), tls_server(cert=pems().cert)) as (url,), raw(url) as peer:
         await peer.say(b"hello?")
         with anyio.fail_after(5), pytest.raises(anyio.BrokenResourceError):

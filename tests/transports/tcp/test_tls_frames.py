@@ -11,7 +11,7 @@ from hypothesis import given, strategies
 
 from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader, framed
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ProtocolError
 from fibaction_transports._socket_lines.tls_frames import (
     MOST_ANSWERS,
