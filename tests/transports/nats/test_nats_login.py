@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from fibaction import AuthenticationFailed, LimitReached, ServerNotFound, TransportError
 from fibaction.border.event_loop import asyncio_loop
-from fibaction.wire.tls_files import TlsFiles
+from fibaction.wire.transport import TlsFiles
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     Message,
