@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from fibaction.interfaces.files import read_action
 from fibaction.interfaces.packages import common_message
 from fibaction.interfaces.structs import make_structs
 from fibaction_transports.cdr.type_hashes import type_hash
+from tests.support.interface_files import write
 
 HASHES = {
     "geometry_msgs/msg/Quaternion": (
@@ -27,29 +27,21 @@ HASHES = {
 """
 
 
-@pytest.fixture(autouse=True)
-def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
-    packages._store.cache_clear()
-    yield
-    packages._store.cache_clear()
+pytestmark = pytest.mark.usefixtures("no_ros")
 
 
 @pytest.mark.parametrize("type_name", HASHES)
 def test_a_common_message_is_that_of_ros(type_name: str, tmp_path: Path) -> None:
     package, _, name = type_name.split("/")
-    path = tmp_path / "go_msgs/action/Go.action"
-    path.parent.mkdir(parents=True)
-    path.write_text(f"{package}/{name} it\n---\n---\n")
+    path = write(tmp_path / "go_msgs/action/Go.action", f"{package}/{name} it\n---\n---\n")
     found = read_action(path).goal.nested["it"]
     assert found.type_name == type_name
     assert type_hash(found) == f"RIHS01_{HASHES[type_name]}"
 
 
 def test_a_common_message_has_its_defaults_and_constants(tmp_path: Path) -> None:
-    path = tmp_path / "Go.action"
-    path.write_text("geometry_msgs/Pose to\nsensor_msgs/NavSatStatus fix\n---\n---\n")
+    goal = "geometry_msgs/Pose to\nsensor_msgs/NavSatStatus fix\n"
+    path = write(tmp_path / "Go.action", f"{goal}---\n---\n")
     structs = make_structs(read_action(path))
     assert structs["Go_Goal"]().to.orientation.w == 1.0  # type: ignore[attr-defined]
     assert structs["NavSatStatus"].STATUS_FIX == 0  # type: ignore[attr-defined]

@@ -18,27 +18,15 @@ from fibaction.interfaces.files import (
     read_service,
 )
 from fibaction.interfaces.packages import SearchPath
+from tests.support.interface_files import write
 
 FILES = Path(__file__).parent.parent / "action_files"
 
 
 @pytest.fixture(autouse=True)
-def no_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
-    monkeypatch.setattr(sys, "prefix", str(tmp_path / "venv"))
-    library = SimpleNamespace(fielddefs={})  # it has no messages
-    monkeypatch.setattr(packages, "_store", lambda: library)
-
-
-@pytest.fixture
-def lift(tmp_path: Path) -> Path:
-    return tmp_path / "Lift.action"
-
-
-def write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text)
-    return path
+def no_messages(no_ros: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the library have no messages."""
+    monkeypatch.setattr(packages, "_store", lambda: SimpleNamespace(fielddefs={}))
 
 
 def with_goal(path: Path, fields: str) -> Path:
@@ -71,13 +59,6 @@ def test_an_action_has_the_name_of_its_file(stem: str, name: str, tmp_path: Path
     action = read_action(with_goal(tmp_path / f"{stem}.action", ""))
 
     assert (action.name, action.type_name) == (name, "")
-
-
-def test_messages_are_found_in_the_package_and_beside_it() -> None:
-    nested = read_action(FILES / "robot_msgs/action/PickUp.action").goal.nested
-
-    assert nested["gripper"].definition.path == FILES / "robot_msgs/msg/Gripper.msg"
-    assert nested["spare"].definition.path == FILES / "other_msgs/msg/Gripper.msg"
 
 
 def test_the_first_folder_on_the_search_path_counts(tmp_path: Path) -> None:
@@ -213,21 +194,6 @@ def test_a_hundred_levels_of_messages_are_allowed(lift: Path) -> None:
     first = chain(lift.parent, 100, " a")
 
     assert len(read_action(with_goal(lift, f"{first} a")).messages()) == 103
-
-
-def test_classes_of_messages_with_one_name_have_the_package_in_theirs() -> None:
-    action = read_action(FILES / "robot_msgs/action/PickUp.action")
-
-    assert [message.class_name for message in action.messages()] == [
-        "Pad",
-        "robot_msgs_Gripper",
-        "other_msgs_Gripper",
-        "Time",
-        "Duration",
-        "PickUp_Goal",
-        "PickUp_Result",
-        "PickUp_Feedback",
-    ]
 
 
 def test_a_message_is_read_once(lift: Path) -> None:

@@ -17,24 +17,23 @@ from fibaction.interfaces.files import (
 )
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.source import types_source
+from tests.support.interface_files import write
 
 
-def write(path: Path, field: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"int32 {field}\n---\n---\n")
-    return path
+def load(path: Path, field: str) -> None:
+    load_action(write(path, f"int32 {field}\n---\n---\n"))
 
 
 def test_a_file_that_was_loaded_is_known_by_its_type(tmp_path: Path) -> None:
     for folder, field in (("one", "x"), ("two", "y")):
-        load_action(write(tmp_path / folder / "known_msgs/action/Go.action", field))
+        load(tmp_path / folder / "known_msgs/action/Go.action", field)
     found = known_action("known_msgs/action/Go")
     assert found is not None
     assert [one.name for one in found.goal.definition.fields] == ["y"]
 
 
 def test_a_file_without_a_package_is_not_known(tmp_path: Path) -> None:
-    load_action(write(tmp_path / "Lost.action", "x"))
+    load(tmp_path / "Lost.action", "x")
     assert known_action("") is None
 
 
@@ -50,7 +49,7 @@ def test_a_type_that_was_defined_is_known_until_another_file_of_it_is_loaded(
         assert found is known_action(type_name)
         assert found.goal.nested["part"].definition.fields[0].name == "z"
         define_action(type_name, {})
-        load_action(write(tmp_path / f"{type_name}.action", "x"))
+        load(tmp_path / f"{type_name}.action", "x")
         found = known_action(type_name)
         assert found is not None
         assert found.goal.definition.fields[0].name == "x"
@@ -84,15 +83,13 @@ def test_messages_and_services_that_were_defined_need_no_files() -> None:
 
 
 def test_types_of_one_name_are_not_written_to_one_module(tmp_path: Path) -> None:
-    files = []
-    for package in ("one_msgs", "two_msgs"):
-        file = tmp_path / package / "msg/Part.msg"
-        file.parent.mkdir(parents=True)
-        file.write_text("int32 z\n")
-        files.append(read_interface(file, []))
+    paths = [tmp_path / package / "msg/Part.msg" for package in ("one_msgs", "two_msgs")]
+    files = [read_interface(write(path, "int32 z\n"), []) for path in paths]
     with pytest.raises(ValueError, match="two_msgs/msg/Part has the name of another message"):
         types_source(files)
-    lost = tmp_path / "Part.msg"
-    lost.write_text("int32 z\n")
+
+
+@pytest.mark.parametrize("lost", ["Part.msg", "9/Part.msg"])
+def test_a_file_outside_of_a_package_has_no_type(tmp_path: Path, lost: str) -> None:
     with pytest.raises(InterfaceError, match=r"expected a file such as my_msgs/msg/Name"):
-        read_interface(lost, [])
+        read_interface(write(tmp_path / lost, "int32 z\n"), [])

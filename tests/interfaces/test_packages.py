@@ -8,29 +8,25 @@ import pytest
 
 from fibaction.interfaces import packages
 from fibaction.interfaces.files import read_action
-from fibaction.interfaces.packages import SearchPath, manifest_name, package_of, ros_folders
+from fibaction.interfaces.packages import SearchPath, manifest_name, package_of
+from tests.support.interface_files import write
 
 GOAL = "robot_msgs/Load load\n---\n---\n"
 
 
-def package(folder: Path, name: str, *, message: str = "") -> Path:
+def package(folder: Path, name: str, message: str = "Load") -> Path:
     """Make a package in a folder, with an empty message."""
-    (folder / "msg").mkdir(parents=True)
-    (folder / "package.xml").write_text(f"<package>\n  <name>{name}</name>\n</package>\n")
-    if message:
-        (folder / "msg" / f"{message}.msg").write_text("")
+    write(folder / "package.xml", f"<package>\n  <name>{name}</name>\n</package>\n")
+    write(folder / "msg" / f"{message}.msg", "")
     return folder
 
 
 def action(folder: Path, text: str = GOAL) -> Path:
-    (folder / "action").mkdir(parents=True)
-    path = folder / "action" / "Lift.action"
-    path.write_text(text)
-    return path
+    return write(folder / "action" / "Lift.action", text)
 
 
 def test_a_package_has_the_name_in_its_manifest(tmp_path: Path) -> None:
-    path = action(package(tmp_path / "cloned-robot", "robot_msgs", message="Load"))
+    path = action(package(tmp_path / "cloned-robot", "robot_msgs"))
 
     found = read_action(path)
 
@@ -39,14 +35,14 @@ def test_a_package_has_the_name_in_its_manifest(tmp_path: Path) -> None:
 
 
 def test_an_own_message_is_found_without_its_package(tmp_path: Path) -> None:
-    path = action(package(tmp_path / "Clone", "robot_msgs", message="Load"), "Load a\n---\n---\n")
+    path = action(package(tmp_path / "Clone", "robot_msgs"), "Load a\n---\n---\n")
 
     assert read_action(path).goal.nested["a"].type_name == "robot_msgs/msg/Load"
 
 
 def test_a_package_beside_that_of_the_file_has_the_name_in_its_manifest(tmp_path: Path) -> None:
-    package(tmp_path / "cloned", "robot_msgs", message="Load")
-    path = action(package(tmp_path / "lift", "lift_msgs"))
+    package(tmp_path / "cloned", "robot_msgs")
+    path = action(package(tmp_path / "lift", "lift_msgs", "Other"))
 
     assert read_action(path).goal.nested["load"].package == "robot_msgs"
 
@@ -55,7 +51,7 @@ def test_a_package_beside_that_of_the_file_has_the_name_in_its_manifest(tmp_path
 def test_the_search_path_may_name_a_workspace_a_package_or_its_messages(
     tmp_path: Path, search: str
 ) -> None:
-    package(tmp_path / "ws/src/group/cloned", "robot_msgs", message="Load")
+    package(tmp_path / "ws/src/group/cloned", "robot_msgs")
     path = action(tmp_path / "lift_msgs")
 
     found = read_action(path, search=[tmp_path / "ws" / search])
@@ -67,11 +63,10 @@ def test_the_search_path_may_name_a_workspace_a_package_or_its_messages(
 def test_a_message_may_be_in_a_folder_within_the_messages_of_its_package(
     tmp_path: Path, search: str
 ) -> None:
-    grouped = package(tmp_path / "cloned", "robot_msgs") / "msg/arm"
+    grouped = package(tmp_path / "cloned", "robot_msgs", "Other") / "msg/arm"
     installed = tmp_path / "share/robot_msgs/arm"
     for folder in (grouped, installed):
-        folder.mkdir(parents=True)
-        (folder / "Load.msg").write_text("int32 kilograms\n")
+        write(folder / "Load.msg", "int32 kilograms\n")
 
     found = read_action(action(tmp_path / "elsewhere/lift_msgs"), search=[tmp_path / search])
 
@@ -82,9 +77,8 @@ def test_a_message_may_be_in_a_folder_within_the_messages_of_its_package(
 
 @pytest.mark.parametrize("folder", ["build/a", "install/a", ".git/a", "ignored/a"])
 def test_what_a_build_does_not_look_into_is_not_searched(tmp_path: Path, folder: str) -> None:
-    package(tmp_path / folder, "robot_msgs", message="Load")
-    (tmp_path / "ignored").mkdir(exist_ok=True)
-    (tmp_path / "ignored" / "COLCON_IGNORE").write_text("")
+    package(tmp_path / folder, "robot_msgs")
+    write(tmp_path / "ignored" / "COLCON_IGNORE", "")
 
     assert not any(one.is_file() for one in places([tmp_path]))
 
@@ -92,8 +86,8 @@ def test_what_a_build_does_not_look_into_is_not_searched(tmp_path: Path, folder:
 def test_the_search_in_a_workspace_is_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    package(tmp_path / "a/b", "robot_msgs", message="Load")
-    package(tmp_path / "1/2/3/4/5/6", "robot_msgs", message="Load")
+    package(tmp_path / "a/b", "robot_msgs")
+    package(tmp_path / "1/2/3/4/5/6", "robot_msgs")
     (deep,) = (one for one in places([tmp_path]) if one.is_file())
     assert deep == tmp_path / "a/b/msg/Load.msg"
 
@@ -132,15 +126,3 @@ def test_an_action_file_elsewhere_is_of_no_package(tmp_path: Path) -> None:
     assert package_of(tmp_path / "Lift.action") == ""
     assert package_of(tmp_path / "Not-A-Name" / "action" / "Lift.action") == ""
     assert package_of(tmp_path / "lift_msgs" / "action" / "Lift.action") == "lift_msgs"
-
-
-def test_the_messages_of_ros_are_where_its_environment_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    share = tmp_path / "venv" / "share"
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'ros'}:{tmp_path / 'ws'}:")
-    monkeypatch.setattr("sys.prefix", str(tmp_path / "venv"))
-    sourced = [tmp_path / "ros/share", tmp_path / "ws/share"]
-    assert list(ros_folders()) == sourced
-    (share / "ament_index").mkdir(parents=True)
-    assert list(ros_folders()) == [*sourced, share]

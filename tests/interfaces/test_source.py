@@ -1,4 +1,7 @@
-"""The modules in `tests/action_files` are generated, so that type checkers and linters see some."""
+"""Classes made from files, as structs and as the source of modules, which agree.
+
+The modules in `tests/action_files` are generated, so that type checkers and linters see some.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,13 @@ import pytest
 from hypothesis import given, settings, strategies
 
 from fibaction.action_files import load_action
-from fibaction.interfaces.definitions import InterfaceError
 from fibaction.interfaces.files import ServiceFile, read_action, read_interface, read_service
 from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.source import python_source, types_source
+from fibaction.interfaces.structs import make_structs
 from fibaction.types.action import Action
 from tests.action_files import awkward_types, count_types, pick_up_types
+from tests.support.interface_files import write
 
 FILES = Path(__file__).parent.parent / "action_files"
 GENERATED = {
@@ -81,9 +85,8 @@ def test_values_of_a_generated_module_are_typed() -> None:
 
 
 def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
-    path = tmp_path / "Imu.action"
-    path.write_text("IMU imu\n---\n---\n")
-    (tmp_path / "IMU.msg").write_text("")
+    path = write(tmp_path / "Imu.action", "IMU imu\n---\n---\n")
+    write(tmp_path / "IMU.msg", "")
 
     module = run(source_of(path))
 
@@ -93,9 +96,8 @@ def test_the_constant_and_a_class_never_share_a_name(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("array", ["", "[]", "[2]"])
 def test_a_constant_with_the_name_of_a_message_does_not_hide_it(tmp_path: Path, array: str) -> None:
-    (tmp_path / "RPY.msg").write_text("float64 roll\n")
-    path = tmp_path / "RPY.action"
-    path.write_text(f"int32 RPY=1\nRPY{array} rpy\n---\n---\n")
+    write(tmp_path / "RPY.msg", "float64 roll\n")
+    path = write(tmp_path / "RPY.action", f"int32 RPY=1\nRPY{array} rpy\n---\n---\n")
 
     module = run(source_of(path))
 
@@ -104,9 +106,8 @@ def test_a_constant_with_the_name_of_a_message_does_not_hide_it(tmp_path: Path, 
 
 
 def test_a_comment_with_an_indented_line_is_the_same_in_the_module(tmp_path: Path) -> None:
-    path = tmp_path / "Weigh.action"
-    path.write_text("# The weight:\n#     in grams\n#     of the whole\nint32 weight\n---\n---\n")
-
+    text = "# The weight:\n#     in grams\n#     of the whole\nint32 weight\n---\n---\n"
+    path = write(tmp_path / "Weigh.action", text)
     source = source_of(path)
 
     assert "in grams" in source
@@ -151,8 +152,7 @@ def parts(draw: strategies.DrawFn) -> str:
 @given(strategies.lists(parts(), min_size=3, max_size=3).map("---\n".join))
 def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "Lift.action"
-        path.write_text(text, encoding="utf-8")
+        path = write(Path(folder) / "Lift.action", text)
         loaded = load_action(path, search=[FILES / "plain"])
         module = run(python_source(read_action(path, search=[FILES / "plain"])))
     assert_equal_actions(module.LIFT, loaded)
@@ -161,10 +161,7 @@ def test_any_module_agrees_with_the_loaded_action(text: str) -> None:
 def test_messages_and_services_are_written_as_typed_classes(tmp_path: Path) -> None:
     folder = tmp_path / "near_msgs"
     texts = {"msg/Near.msg": "int32 x 5\n", "srv/CountUp.srv": "int32 to\n---\nNear[] found\n"}
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(parents=True)
-        (folder / name).write_text(text)
-    found = [read_interface(folder / name, []) for name in texts]
+    found = [read_interface(write(folder / name, text), []) for name, text in texts.items()]
     module = run(types_source(found))
     assert module.Near().x == 5
     assert module.Near.__ros_type__ == "near_msgs/msg/Near"
@@ -175,9 +172,46 @@ def test_messages_and_services_are_written_as_typed_classes(tmp_path: Path) -> N
     assert again.text == read.text  # defined by the module: no file is needed
 
 
-def test_a_file_outside_of_a_package_has_no_type(tmp_path: Path) -> None:
-    path = tmp_path / "9" / "Near.msg"
-    path.parent.mkdir()
-    path.write_text("int32 x\n")
-    with pytest.raises(InterfaceError, match="expected a file such as my_msgs/msg/Name"):
-        read_interface(path, [])
+# Limits of values
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Any]:
+    return make_structs(read_action(FILES / "robot_msgs/action/PickUp.action"))
+
+
+@pytest.mark.parametrize(
+    ("goal", "where"),
+    [
+        ({"manner": 128}, "$.manner"),
+        ({"thing": "x" * 21}, "$.thing"),
+        ({"spare": [{}]}, "$.spare"),
+        ({"spare": [{}, {"name": 1}]}, r"$.spare[1].name"),
+        ({"gripper": {"pads": [{}, {"wear": 256}]}}, r"$.gripper.pads[1].wear"),
+        ({"where": [1.0, 2.0]}, "$.where"),
+        ({"speeds": [1.0] * 5}, "$.speeds"),
+        ({"ports": [1, 65536]}, "$.ports[1]"),
+        ({"address": b"123"}, "$.address"),
+        ({"labels": ["long enough"]}, "$.labels[0]"),
+        ({"labels": ["a"] * 4}, "$.labels"),
+        ({"start": {"nanosec": -1}}, "$.start.nanosec"),
+        ({"thin": "a"}, "thin"),
+    ],
+)
+def test_a_value_out_of_its_limits_is_rejected_with_the_name_of_its_field(
+    goal: dict[str, Any], where: str, made: dict[str, Any]
+) -> None:
+    with pytest.raises(msgspec.ValidationError) as caught:
+        msgspec.convert(goal, made["PickUp_Goal"])
+
+    assert f"`{where}`" in str(caught.value)
+
+
+def test_a_struct_is_not_shown_as_the_class_of_ros(made: dict[str, Any]) -> None:
+    gripper, goal = made["other_msgs_Gripper"], made["PickUp_Goal"]
+    assert repr(gripper) == "<class 'fibaction.ros_types.other_msgs.msg.other_msgs_Gripper'>"
+    assert repr(goal) == "<class 'fibaction.ros_types.robot_msgs.action.PickUp_Goal'>"
+    assert (gripper.__ros_type__, goal.__ros_type__) == (
+        "other_msgs/msg/Gripper",
+        "robot_msgs/action/PickUp_Goal",
+    )
