@@ -1,4 +1,4 @@
-"""The messages of an action as the source of a Python module.
+"""The messages of an action, or of all actions of a robot, as the source of a Python module.
 
 The classes are those of `fibaction.interfaces.structs`, with the same JSON Schemas. Each field is
 one line, however long: a formatter lays the source out better than code here could.
@@ -7,14 +7,20 @@ one line, however long: a formatter lays the source out better than code here co
 from __future__ import annotations
 
 import re
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from fibaction.interfaces.definitions import FieldDefinition, FieldType
-from fibaction.interfaces.files import ActionFile, InterfaceMessage, ServiceFile, inside_out
+from fibaction.interfaces.definitions import FieldDefinition, FieldType, InterfaceError
+from fibaction.interfaces.files import (
+    ActionFile,
+    InterfaceMessage,
+    ServiceFile,
+    inside_out,
+    read_action_texts,
+)
 from fibaction.interfaces.ros_types import PRIMITIVES, attribute
-from fibaction.interfaces.structs import docstring, is_bytes, plain_default
+from fibaction.interfaces.structs import docstring, is_bytes, make_structs, plain_default
 
 _STANDARD = ("builtins", "typing")
 _LIMITED = {
@@ -37,7 +43,7 @@ def python_source(action: ActionFile) -> str:
         "Change that file, not this one.",
         '"""',
     ]
-    return module_source([action], about)
+    return _module_source([action], about)
 
 
 def types_source(types: Sequence[InterfaceMessage | ServiceFile]) -> str:
@@ -73,7 +79,49 @@ def types_source(types: Sequence[InterfaceMessage | ServiceFile]) -> str:
     return "\n".join([*about, *names.imports(), *classes, "", "", *made, "    }", ")", ""])
 
 
-def module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
+_ABOUT = (
+    '"""The actions of a robot, and their messages.',
+    "",
+    "Written by `fibaction gen --from-robot`.",
+    "If the types of the robot change, write it again.",
+    '"""',
+)
+
+
+class RobotSource:
+    """Collects actions, and writes them into one module. They may share messages."""
+
+    def __init__(self) -> None:
+        self._actions: list[ActionFile] = []
+        self._fields: dict[str, Sequence[object]] = {}
+        """The fields of all messages, by their types."""
+
+    def __len__(self) -> int:
+        return len(self._actions)
+
+    def add(self, name: str, type_name: str, texts: Mapping[str, str]) -> None:
+        """Add an action, by the texts of its interface files.
+
+        Raises:
+            InterfaceError: A text is malformed, or defines another version of a type that an
+                earlier action has.
+        """
+        action = read_action_texts(type_name, texts, name=name)
+        own = {one.type_name: _fields(one) for one in action.messages()}
+        for one, fields in own.items():
+            if self._fields.get(one, fields) != fields:
+                problem = f"expected {one} as in the other actions, found another version of it"
+                raise InterfaceError(action.path, 1, problem)
+        make_structs(action)  # raises now what the module would raise on import
+        self._fields |= own
+        self._actions.append(action)
+
+    def source(self) -> str:
+        """Return the source of the module."""
+        return _module_source(_united(self._actions), _ABOUT)
+
+
+def _module_source(actions: Sequence[ActionFile], about: Iterable[str]) -> str:
     """Return the source of a module with these actions, and with a class for each message of all.
 
     Messages of one class name must be the same. `about` are the lines of the docstring.
@@ -279,3 +327,37 @@ def _literal(value: Any) -> str:
     if isinstance(value, str) and '"' not in value:
         return '"' + repr("'" + value)[2:]  # repr takes double quotes for text with a single one
     return repr(value)
+
+
+def _fields(message: InterfaceMessage) -> Sequence[object]:
+    """Return what two definitions of one message must have in common."""
+    return [
+        (field.name, field.type._replace(package=""), nested.type_name if nested else "")
+        for field in message.definition.fields
+        for nested in (message.nested.get(field.name),)
+    ]
+
+
+def _united(actions: Sequence[ActionFile]) -> list[ActionFile]:
+    """Return the actions with class names that are unique among all their messages."""
+    found = {one.type_name: one for action in actions for one in action.messages()}
+    namesakes = Counter(one.definition.name for one in found.values())
+    made: dict[str, InterfaceMessage] = {}
+
+    def united(one: InterfaceMessage) -> InterfaceMessage:
+        if one.type_name not in made:
+            name = one.definition.name
+            made[one.type_name] = one._replace(
+                class_name=f"{one.package}_{name}" if namesakes[name] > 1 else name,
+                nested={field: united(nested) for field, nested in one.nested.items()},
+            )
+        return made[one.type_name]
+
+    return [
+        action._replace(
+            goal=united(action.goal),
+            result=united(action.result),
+            feedback=united(action.feedback),
+        )
+        for action in actions
+    ]

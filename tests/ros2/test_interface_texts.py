@@ -14,7 +14,7 @@ import pytest
 
 from fibaction import connect
 from fibaction.interfaces.files import read_action_texts
-from fibaction.interfaces.robot_source import RobotSource
+from fibaction.interfaces.source import RobotSource
 from fibaction.interfaces.structs import make_structs
 from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash

@@ -27,8 +27,7 @@ from fibaction.interfaces.files import (
     read_service,
 )
 from fibaction.interfaces.packages import SearchPath, ros_folders
-from fibaction.interfaces.robot_source import RobotSource
-from fibaction.interfaces.source import types_source
+from fibaction.interfaces.source import RobotSource, types_source
 from fibaction.schema.typescript import typescript_source
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, ServerNotFound, TransportError

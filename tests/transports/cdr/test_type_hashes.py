@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -12,9 +14,10 @@ from fibaction_transports.cdr.action_messages import CANCEL_GOAL, action_interfa
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_description, type_hash
 from tests.transports.cdr.definitions import POSES, TESTS, action_of, message_in
-from tests.transports.cdr.hashes import HASHES
 
 FIBONACCI = TESTS.parent / "examples/ros2/arduinobot_msgs/action/Fibonacci.action"
+HASHES: dict[str, str] = json.loads(Path(__file__).with_name("hashes.json").read_text())
+"""Type hashes that ROS 2 Kilted has in the JSON files beside its interface files."""
 TEST_ACTIONS = TESTS / "ros2/fibaction_test_msgs/action"
 
 
