@@ -15,13 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction.interfaces import ActionFile, make_structs, read_action
-from fibaction.interfaces.files import InterfaceMessage
+from fibaction.interfaces.files import InterfaceMessage, read_message
+from fibaction.interfaces.packages import SearchPath
 from fibaction_transports.cdr.action_messages import CANCEL_GOAL, ActionCodecs, action_interface
 from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
-from tests.transports.cdr.definitions import Goal, action_of
+from tests.transports.cdr.definitions import Goal
 from tests.transports.cdr.generated import values_of
 from tests.transports.cdr.recorded import RECORDED, recorded
 
@@ -154,8 +155,7 @@ def test_all_messages_that_are_installed_have_the_hashes_of_ros() -> None:
     assert len(names) > 80
     found: dict[str, str] = {}
     for name in names:  # one after the other, since namesakes of several packages are two types
-        action = action_of(f"{name.replace('/msg/', '/')} it\n---\n---\n", search=[SHARE])
-        found |= hashed(action.goal.nested["it"])
+        found |= hashed(read_message(name, SearchPath((), [SHARE])))
     assert {name: found[name] for name in names} == {name: HASHES[name] for name in names}
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-from fibaction.interfaces import ActionFile, make_structs, read_action
-from fibaction.interfaces.files import InterfaceMessage
+from fibaction.interfaces import ActionFile, make_structs
+from fibaction.interfaces.files import InterfaceMessage, read_action_texts
 from fibaction_transports.cdr.codec import CdrCodec
 
 TESTS = Path(__file__).parents[2]
 
+MADE = "made_msgs/action/Made"
 NONE: Mapping[str, str] = {}
 
 POSES = {
@@ -24,24 +24,13 @@ POSES = {
 }
 
 
-def action_of(
-    text: str, messages: Mapping[str, str] = NONE, search: Iterable[Path] = ()
-) -> ActionFile:
-    """Return the action `made_msgs/action/Made` of a file with this text.
+def action_of(text: str, messages: Mapping[str, str] = NONE) -> ActionFile:
+    """Return the action `made_msgs/action/Made` with this text.
 
-    `messages` are the texts of messages in it, by names such as `geometry_msgs/Pose`; others are in
-    packages of the folders in `search`.
+    `messages` are the texts of messages in it, by names such as `geometry_msgs/Pose`.
     """
-    with TemporaryDirectory() as folder:
-        for name, definition in messages.items():
-            package, _, base = name.partition("/")
-            path = Path(folder, package, "msg", f"{base}.msg")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(definition)
-        path = Path(folder, "made_msgs", "action", "Made.action")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-        return read_action(path, search=search)
+    texts = {name.replace("/", "/msg/"): definition for name, definition in messages.items()}
+    return read_action_texts(MADE, {MADE: text} | texts)
 
 
 class Goal:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from fibaction.interfaces import read_action
-from fibaction.interfaces.files import InterfaceMessage
+from fibaction.interfaces.files import InterfaceMessage, inside_out
 from fibaction_transports.cdr.action_messages import CANCEL_GOAL, action_interface
 from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_description, type_hash
@@ -19,12 +18,6 @@ FIBONACCI = TESTS.parent / "examples/ros2/arduinobot_msgs/action/Fibonacci.actio
 HASHES: dict[str, str] = json.loads(Path(__file__).with_name("hashes.json").read_text())
 """Type hashes that ROS 2 Kilted has in the JSON files beside its interface files."""
 TEST_ACTIONS = TESTS / "ros2/fibaction_test_msgs/action"
-
-
-def all_in(message: InterfaceMessage) -> Iterator[InterfaceMessage]:
-    yield message
-    for nested in message.nested.values():
-        yield from all_in(nested)
 
 
 def known() -> dict[str, InterfaceMessage]:
@@ -44,7 +37,7 @@ def known() -> dict[str, InterfaceMessage]:
         message_in("geometry_msgs/PoseStamped", POSES),
         message_in("std_msgs/Empty", {"std_msgs/Empty": ""}),
     ]
-    return {one.type_name: one for message in found for one in all_in(message)}
+    return {one.type_name: one for message in found for one in inside_out(message)}
 
 
 EVERYTHING = "fibaction_test_msgs/action/Everything"

@@ -508,6 +508,22 @@ def test_a_writer_that_promises_to_be_alive_is_followed() -> None:
     assert one.participant._shared.timers.next() > world.now + 0.5
 
 
+def test_of_removed_readers_and_writers_nothing_is_told() -> None:
+    world = World()
+    one, other = world.pair()
+    qos = Qos(liveliness=Liveliness.BY_TOPIC, liveliness_lease=1.0)
+    removed_writer, writer = writer_of(world, one, qos), writer_of(world, one, qos)
+    removed_reader, reader = reader_of(world, other, qos), reader_of(world, other, qos)
+    assert world.run_until(lambda: len(reader.writers) == 2)
+    one.participant.remove(removed_writer, world.now)
+    other.participant.remove(removed_reader, world.now)
+    world.run(0.1)
+    world.kill(one)
+    world.run(3.0)
+    dead = LivelinessChanged(reader.guid, writer.guid, is_alive=False)
+    assert other.all(LivelinessChanged) == [dead]
+
+
 def test_a_reader_with_a_longer_lease_misses_a_silent_writer_later() -> None:
     world = World(2)
     one, other = world.pair()

@@ -6,11 +6,10 @@ from typing import Any
 
 from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
 from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
-from fibaction_transports.rtps.endpoints.sample import DISPOSED, History, Sample, StoredSample
+from fibaction_transports.rtps.endpoints.sample import DISPOSED, History, StoredSample
 from fibaction_transports.rtps.endpoints.writer_proxy import MOST_REQUESTS
 from fibaction_transports.rtps.events import (
     EndpointMatched,
-    LivelinessChanged,
     ParticipantFound,
     ParticipantLost,
 )
@@ -43,7 +42,7 @@ from fibaction_transports.rtps.messages.submessages import (
     SourceInfo,
     WriterHeartbeat,
 )
-from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
+from fibaction_transports.rtps.qos import Durability, Qos, Reliability
 from fibaction_transports.rtps.router import DISCOVERY_AT_ONCE
 from tests.transports.rtps.target import (
     HOST,
@@ -388,27 +387,6 @@ def test_a_disposed_sample_that_another_one_has_replaced_is_forgotten_once() -> 
     assert (history.first, len(history)) == (2, 1)
     history.forget_acknowledged(3, is_volatile=True)
     assert (history.first, history.last, len(history)) == (4, 3, 0)
-
-
-def test_writers_of_a_participant_are_followed_each_for_itself() -> None:
-    world = World()
-    node, peer = world.join(), world.join()
-    readers = [reader_of(world, node), reader_of(world, node)]
-    qos = Qos(liveliness=Liveliness.BY_TOPIC, liveliness_lease=1.0)
-    writers = [writer_of(world, peer, qos) for _ in range(2)]
-    world.run(0.5)
-    followed = node.participant._router._liveliness
-    one, other = writers
-    followed.forget(readers[0].guid, one.guid)
-    world.run(2.0)
-    lost = [(event.reader, event.writer) for event in node.all(LivelinessChanged)]
-    assert sorted(lost) == sorted(
-        [(readers[1].guid, one.guid), (readers[0].guid, other.guid), (readers[1].guid, other.guid)]
-    )
-    peer.participant.remove(other, world.now)
-    world.run(1.0)
-    followed.receive(Sample(Guid(bytes(16)), 1, bytes(40)), world.now)
-    assert len(node.all(LivelinessChanged)) == 3
 
 
 def test_what_strangers_send_is_left_out(target: Target) -> None:

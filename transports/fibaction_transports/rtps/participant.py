@@ -214,6 +214,7 @@ class Participant:
 
     def remove(self, endpoint: DataWriter | DataReader, now: float) -> None:
         """Close a writer or reader, and tell others that it is gone; once is enough."""
+        self._matcher.forget_local(endpoint)
         endpoint.close()
         is_writer = isinstance(endpoint, DataWriter)
         table = self._local.writers if is_writer else self._local.readers

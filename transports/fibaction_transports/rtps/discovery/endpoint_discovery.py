@@ -80,6 +80,12 @@ class Matcher:
             if was_matched:
                 self._shared.emit(EndpointUnmatched(endpoint.guid, guid))
 
+    def forget_local(self, endpoint: DataWriter | DataReader) -> None:
+        """Follow the writers of an endpoint of this participant no longer: it is removed."""
+        if isinstance(endpoint, DataReader):
+            for writer in endpoint.writers:
+                self._liveliness.forget(endpoint.guid, writer)
+
     def _local_opposites(self, guid: Guid) -> list[DataWriter] | list[DataReader]:
         if guid.is_reader:
             return self._local.user_writers()
