@@ -22,6 +22,7 @@ from fibaction_transports.rtps.messages.submessages import (
     WriterHeartbeat,
 )
 from fibaction_transports.rtps.qos import Reliability
+from tests.transports.rtps.world import TYPE
 
 E = b"\0\0\3\xc7"
 
@@ -39,55 +40,43 @@ def read(name: str) -> Packet:
     return read_packet(GOLDEN[name])
 
 
-def only(packet: Packet, kind: type[Data]) -> Data:
-    (found,) = (each for each in packet.submessages if isinstance(each, kind))
-    return found
+def payload(packet: Packet) -> bytes | memoryview:
+    """Return the payload of the one sample in a packet."""
+    (data,) = (each for each in packet.submessages if isinstance(each, Data))
+    assert data.payload is not None
+    return data.payload
 
 
 def test_a_participant_of_fast_dds_is_read() -> None:
     packet = read("fast_dds participant")
     assert packet.vendor == FAST_DDS
-    data = only(packet, Data)
-    assert data.payload is not None
-    participant = read_participant(read_list(data.payload), packet.vendor)
+    participant = read_participant(read_list(payload(packet)), packet.vendor)
     assert participant.prefix == packet.prefix
-    assert participant.lease == 20
-    assert participant.name == "/"
+    assert (participant.lease, participant.name, participant.domain) == (20, "/", 78)
     assert participant.user_data == b"enclave=/;\0"
-    assert participant.domain == 78
     addresses = [each.udp_address for each in participant.discovery_locators]
     assert addresses == [("192.0.2.2", 26910)]
-    kinds = [each.kind for each in participant.data_locators]
-    assert kinds[0] == 19
+    assert participant.data_locators[0].kind == 19
     assert participant.endpoints == 0xFC3F
 
 
 def test_a_participant_of_cyclone_is_read() -> None:
     packet = read("cyclone participant")
     assert packet.vendor == CYCLONE_DDS
-    data = only(packet, Data)
-    assert data.payload is not None
-    participant = read_participant(read_list(data.payload), packet.vendor)
+    participant = read_participant(read_list(payload(packet)), packet.vendor)
     assert participant.prefix == packet.prefix
-    assert participant.lease == 10
-    assert participant.endpoints == 0xFC3F
+    assert (participant.lease, participant.endpoints) == (10, 0xFC3F)
 
 
 def test_a_writer_of_cyclone_is_read() -> None:
     packet = read("cyclone writer")
-    data = only(packet, Data)
-    assert data.payload is not None
-    parameters = read_list(data.payload)
+    parameters = read_list(payload(packet))
     guid = parameters.guid(pids.ENDPOINT_GUID)
     assert guid is not None
     endpoint = read_endpoint(parameters, guid)
     assert endpoint.guid == Guid(packet.prefix + b"\0\0\2\3")
-    assert (endpoint.topic, endpoint.type_name) == (
-        "rt/from_stock",
-        "std_msgs::msg::dds_::String_",
-    )
-    assert endpoint.qos.reliability == Reliability.RELIABLE
-    assert endpoint.qos.depth == 50
+    assert (endpoint.topic, endpoint.type_name) == ("rt/from_stock", TYPE)
+    assert (endpoint.qos.reliability, endpoint.qos.depth) == (Reliability.RELIABLE, 50)
 
 
 def test_samples_are_read() -> None:
@@ -124,9 +113,7 @@ def test_heartbeats_and_acknowledgements_are_read() -> None:
 
 def test_an_assertion_of_cyclone_is_read() -> None:
     packet = read("cyclone assertion")
-    payload = only(packet, Data).payload
-    assert payload is not None
-    assert bytes(payload[4:20]) == packet.prefix + b"\0\0\0\1"
+    assert bytes(payload(packet)[4:20]) == packet.prefix + b"\0\0\0\1"
 
 
 def test_what_cyclone_and_this_library_write_is_the_same() -> None:

@@ -6,9 +6,9 @@ import errno
 import select
 import socket
 import struct
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeAlias
 
 import anyio
 import pytest
@@ -56,6 +56,7 @@ PATIENCE = 15.0
 """Seconds for an exchange; fewer than a lease, because a participant that leaves says so."""
 MANY = DATAGRAMS_READ_AT_ONCE + 10
 """More datagrams than are taken in one turn."""
+Opened: TypeAlias = Callable[[], ParticipantSockets]
 needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 OFF, SUBNET = DiscoveryRange.OFF, DiscoveryRange.SUBNET
 
@@ -239,10 +240,18 @@ async def test_with_discovery_off_nobody_is_found(domain: int) -> None:
 
 
 @pytest.mark.anyio
-async def test_a_static_peer_by_its_address_of_ipv6_without_ipv6_is_an_error(domain: int) -> None:
-    settings = DomainSettings(domain=domain, static_peers=("fe80::1",))
-    with pytest.raises(TransportError, match=r"'fe80::1' is an address of IPv6: use ip_versions"):
-        async with open_network(settings, Listener()):
+@pytest.mark.parametrize(
+    ("peer", "message"),
+    [
+        ("fe80::1", r"'fe80::1' is an address of IPv6: use ip_versions"),
+        ("host.invalid", r"static peer 'host.invalid' is unknown"),
+    ],
+)
+async def test_a_static_peer_that_cannot_be_reached_is_an_error(
+    peer: str, message: str, domain: int
+) -> None:
+    with pytest.raises(TransportError, match=message):
+        async with participant(DomainSettings(domain=domain, static_peers=(peer,))):
             pass
 
 
@@ -258,14 +267,6 @@ async def test_the_addresses_of_both_versions_of_ip_can_be_asked_for(
         assert network.addresses.interfaces == ("127.0.0.1",)  # there is no other of IPv6
     async with participant(settings, interfaces=["127.0.0.1"]) as network:
         assert network.addresses.hosts == ("127.0.0.1", "::1")
-
-
-@pytest.mark.anyio
-async def test_an_unknown_static_peer_is_an_error(domain: int) -> None:
-    settings = DomainSettings(domain=domain, static_peers=("host.invalid",))
-    with pytest.raises(TransportError, match=r"static peer 'host.invalid' is unknown"):
-        async with participant(settings):
-            pass
 
 
 @pytest.mark.anyio
@@ -521,45 +522,49 @@ async def test_datagrams_that_arrive_during_the_work_wait_for_its_next_turn() ->
 # Sockets
 
 
-def test_each_participant_of_a_machine_has_ports_of_its_own(domain: int) -> None:
+@pytest.fixture
+def opened(domain: int) -> Iterator[Opened]:
+    """A function that opens the sockets of a participant."""
     with ExitStack() as stack:
-        numbers = list[int]()
-        for _ in range(3):
+
+        def open_one() -> ParticipantSockets:
             sockets = ParticipantSockets(domain, is_local=True, interfaces=())
             stack.callback(sockets.close)
-            numbers.append(sockets.participant)
-            host, port = sockets.sender.getsockname()
-            assert (host, port) == ("127.0.0.1", discovery_port(domain, sockets.participant))
-        assert len(set(numbers)) == 3
+            return sockets
+
+        yield open_one
 
 
-def test_a_port_that_is_half_taken_is_passed_over(domain: int) -> None:
-    first = ParticipantSockets(domain, is_local=True, interfaces=())
-    number = first.participant
+def test_each_participant_of_a_machine_has_ports_of_its_own(domain: int, opened: Opened) -> None:
+    participants = [opened() for _ in range(3)]
+    assert len({sockets.participant for sockets in participants}) == 3
+    for sockets in participants:
+        address = ("127.0.0.1", discovery_port(domain, sockets.participant))
+        assert sockets.sender.getsockname() == address
+
+
+def test_a_port_that_is_half_taken_is_passed_over(domain: int, opened: Opened) -> None:
+    first = opened()
     first.close()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", discovery_port(domain, number) + 1))
-        sockets = ParticipantSockets(domain, is_local=True, interfaces=())
-        assert sockets.participant > number
-        sockets.close()
+        taken.bind(("127.0.0.1", discovery_port(domain, first.participant) + 1))
+        assert opened().participant > first.participant
 
 
-def test_a_full_domain_is_an_error(domain: int) -> None:
-    with ExitStack() as stack:
-        for _ in PARTICIPANTS:
-            sockets = ParticipantSockets(domain, is_local=True, interfaces=())
-            stack.callback(sockets.close)
-        with pytest.raises(TransportError, match=f"all ports of domain {domain} are taken"):
-            ParticipantSockets(domain, is_local=True, interfaces=())
+def test_a_full_domain_is_an_error(domain: int, opened: Opened) -> None:
+    for _ in PARTICIPANTS:
+        opened()
+    with pytest.raises(TransportError, match=f"all ports of domain {domain} are taken"):
+        opened()
     assert len(PARTICIPANTS) == 120
 
 
 def test_a_host_that_cannot_be_bound_is_an_error(
-    domain: int, monkeypatch: pytest.MonkeyPatch
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets_module, "LOCALHOSTS", {4: "192.0.2.1"})
     with pytest.raises(TransportError, match=r"cannot bind to 192.0.2.1"):
-        ParticipantSockets(domain, is_local=True, interfaces=())
+        opened()
 
 
 @pytest.mark.parametrize("interface", ["192.0.2.1", "eth0 of another machine"])
@@ -568,8 +573,8 @@ def test_an_interface_that_is_not_there_is_an_error(domain: int, interface: str)
         ParticipantSockets(domain, is_local=False, interfaces=[interface])
 
 
-def test_what_cannot_be_sent_is_lost(domain: int) -> None:
-    sockets = ParticipantSockets(domain, is_local=True, interfaces=())
+def test_what_cannot_be_sent_is_lost(domain: int, opened: Opened) -> None:
+    sockets = opened()
     sockets.send(b"x", ("192.0.2.1", 9))  # another network, from a loopback address
     sockets.send(b"x", ("239.255.0.1", multicast_port(domain)))  # no interface
     sockets.send(b"x", ("fd00::1", 9))  # no socket of this version
@@ -578,7 +583,6 @@ def test_what_cannot_be_sent_is_lost(domain: int) -> None:
     with pytest.raises(BlockingIOError):
         sockets.send(b"x", ("127.0.0.1", 9))
     assert sockets.sender is blocked  # it is waited for
-    sockets.close()
 
 
 class Ipv6Socket:
