@@ -13,7 +13,7 @@ from fibaction_transports.rtps.discovery.remote_participant import (
     participant_payload,
     reachable,
 )
-from fibaction_transports.rtps.endpoints.sample import DISPOSED
+from fibaction_transports.rtps.endpoints.sample import DISPOSED, StoredSample
 from fibaction_transports.rtps.events import (
     EndpointMatched,
     EndpointUnmatched,
@@ -522,6 +522,21 @@ def test_of_removed_readers_and_writers_nothing_is_told() -> None:
     world.run(3.0)
     dead = LivelinessChanged(reader.guid, writer.guid, is_alive=False)
     assert other.all(LivelinessChanged) == [dead]
+
+
+def test_an_assertion_in_the_name_of_another_participant_is_ignored() -> None:
+    world = World()
+    one, other, third = world.join(), world.join(), world.join()
+    writer_of(world, one, ALIVE)
+    reader = reader_of(world, other, ALIVE)
+    assert world.run_until(lambda: bool(reader.writers))
+    world.kill(one)
+    content = b"\0\1\0\0" + one.participant.prefix + b"\0\0\0\1" + struct.pack("<I", 0)
+    for _ in range(10):
+        assertion = StoredSample(payload=content)
+        third.participant._builtin.liveliness.write_sample(assertion, world.now)
+        world.run(0.3)
+    assert [event.is_alive for event in other.all(LivelinessChanged)] == [False]
 
 
 def test_a_reader_with_a_longer_lease_misses_a_silent_writer_later() -> None:
