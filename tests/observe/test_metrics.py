@@ -158,15 +158,6 @@ async def test_the_lag_of_the_event_loop_is_measured() -> None:
     assert metrics.beat_at >= before
 
 
-def test_without_the_library_the_error_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-
-    with pytest.raises(ImportError, match=r"pip install 'fibaction\[metrics\]'$"):
-        Metrics()
-
-
 async def text_with_all_series() -> str:
     metrics = Metrics()
     async with ActionServer(FIBONACCI, waits, watchers=[metrics]) as server:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import sys
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
@@ -529,12 +528,3 @@ def test_what_is_not_an_error_but_an_end_of_the_program_passes(
     monkeypatch.setattr(spans.tracing._tracer, "start_span", interrupt)
     with pytest.raises(KeyboardInterrupt):
         spans.tracing.sending("fibonacci", GoalID.random())
-
-
-def test_without_the_library_the_error_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, "opentelemetry", None)
-
-    with pytest.raises(ImportError, match=r"pip install 'fibaction\[otel\]'$"):
-        Tracing()

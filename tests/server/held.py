@@ -1,16 +1,21 @@
-"""Goals of Fibonacci as bytes, and executors and callbacks that wait, for the tests of a server."""
+"""Goals of Fibonacci as bytes, executors and callbacks that wait, and calls that fail."""
 
 from __future__ import annotations
 
-from collections.abc import Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
 import anyio
+import pytest
 
 from fibaction import ActionServer, GoalHandle, GoalID
 from fibaction.border.abc import GoalStream
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+
+
+def id_of(number: int) -> GoalID:
+    return GoalID(number.to_bytes(16, "big"))
 
 
 def packed(order: int) -> bytes:
@@ -67,6 +72,14 @@ async def start_many(server: ActionServer[Goal, Feedback, Result], count: int) -
     ]
     await anyio.wait_all_tasks_blocked()
     return streams
+
+
+async def fails(
+    error: type[Exception], text: str, call: Callable[..., Awaitable[object]], *args: Any
+) -> None:
+    """Make a call, which raises this error with this text."""
+    with pytest.raises(error, match=text):
+        await call(*args)
 
 
 async def turns_during(work: Coroutine[Any, Any, object]) -> int:

@@ -10,6 +10,7 @@ import anyio
 from fibaction import Action, ActionClient, ActionServer, GoalHandle, GoalID
 from fibaction.border.goal_store import StoredGoal
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
+from tests.server.held import id_of
 from tests.support.memory_store import MemoryStore
 
 PAINT = Action("paint", goal=int, feedback=int, result=str, checkpoint=int)
@@ -38,7 +39,7 @@ def client_of(server: Server) -> ActionClient[int, int, str]:
 def stored(request: Any = 3, number: int = 1, **fields: Any) -> StoredGoal:
     """Return a goal as an earlier process, or another server, has left it."""
     goal = PAINT.goal.encode(request)
-    goal_id = GoalID(number.to_bytes(16, "big"))
+    goal_id = id_of(number)
     fields.setdefault("stamp", number)
     return StoredGoal(goal_id, sender=UNKNOWN_SENDER, digest=digest_of(goal), goal=goal, **fields)
 

@@ -156,18 +156,3 @@ async def test_a_drain_takes_as_long_as_it_may() -> None:
         await server.stop()
         await server.drain()
         assert (await goal.outcome()).reason == "server stopped"
-
-
-async def test_a_goal_that_is_decided_when_the_drain_begins_is_rejected() -> None:
-    async def wait(_goal: float) -> None:
-        await anyio.sleep(1)
-
-    async with server_with(None, on_goal=wait) as server, anyio.create_task_group() as tasks:
-
-        async def send() -> None:
-            with pytest.raises(GoalRejected, match=DRAINS):
-                await client_of(server).send_goal(1)
-
-        tasks.start_soon(send)
-        await anyio.sleep(0.5)
-        await server.drain()

@@ -25,6 +25,7 @@ from fibaction import (
 from fibaction.border.goal_store import KeySlots, NoFleet
 from fibaction.server.scheduling.scheduled_goals import Act, Order
 from fibaction.server.scheduling.shared_scheduler import NO_KEY, FleetScheduler, portable
+from tests.server.held import id_of
 from tests.support.memory_store import MemoryJournal, MemoryStore
 from tests.support.virtual_time import in_virtual_time
 
@@ -51,11 +52,7 @@ class Slots(KeySlots):
         self.is_open = False
 
 
-def goal(number: int) -> GoalID:
-    return GoalID(number.to_bytes(16, "big"))
-
-
-A, B, C, D = map(goal, range(1, 5))
+A, B, C, D = map(id_of, range(1, 5))
 
 
 class Played:

@@ -30,6 +30,7 @@ from fibaction import (
 from fibaction.border.goal_store import IntakeSource
 from fibaction.stores._writer import SqliteJournal
 from fibaction.words.intake import MOST_CHANGES, Intake, IntakeChange, IntakeMode, ScheduleInfo
+from tests.server.held import fails
 
 pytestmark = pytest.mark.anyio
 
@@ -143,13 +144,11 @@ async def test_a_drain_lets_steps_of_running_goals_in_until_it_ends(is_late: boo
             await anext(mission.feedback)
             handle = server._parts.runs.handle_of(mission.goal_id)
 
-            async def send_late() -> None:
-                with pytest.raises(GoalRejected, match="the server drains"):
-                    await driver.client.send_goal(9)
-
             async with anyio.create_task_group() as tasks:
                 if is_late:
-                    tasks.start_soon(send_late)
+                    tasks.start_soon(
+                        fails, GoalRejected, "server drains", driver.client.send_goal, 9
+                    )
                     await waits.wait()
                 for one in (server, driver.server):
                     for _ in range(2):
@@ -288,12 +287,7 @@ async def test_a_goal_that_is_decided_on_when_a_pause_begins_is_rejected() -> No
     driver = Driver(on_goal=on_goal)
     with anyio.fail_after(20):
         async with driver.server as server, anyio.create_task_group() as tasks:
-
-            async def send() -> None:
-                with pytest.raises(GoalRejected, match="wet floor"):
-                    await driver.client.send_goal(1)
-
-            tasks.start_soon(send)
+            tasks.start_soon(fails, GoalRejected, "wet floor", driver.client.send_goal, 1)
             await asked.wait()
             await server.change_intake(REFUSE)
             decide.set()

@@ -31,6 +31,7 @@ from fibaction.border.abc import FeedbackItem
 from fibaction.border.goal_store import StoredGoal
 from fibaction.server.durability.goal_keeper import SECOND
 from fibaction.server.durability.recovery import ASKED_AT_ONCE
+from tests.server.held import fails, id_of
 from tests.server.painting import (
     ID,
     PAINT,
@@ -50,7 +51,7 @@ pytestmark = [pytest.mark.anyio, in_virtual_time()]
 
 
 async def attached(server: Server, number: int = 1) -> ClientGoal[int, str]:
-    return await client_of(server).attach(GoalID(number.to_bytes(16, "big")))
+    return await client_of(server).attach(id_of(number))
 
 
 # Settings
@@ -304,11 +305,8 @@ async def test_a_goal_whose_kill_is_due_before_its_interruption_is_interrupted_f
         goal = await client_of(server).send_goal(100)
         store.hold()
         newer = GoalID.random()
-
-        async def send() -> None:
-            await client_of(server).send_goal(1, goal_id=newer)
-
-        tasks.start_soon(send)
+        request = PAINT.goal.encode(1)
+        tasks.start_soon(server.send_goal, newer, request)
         await anyio.sleep(5)
         assert goal.status is GoalStatus.EXECUTING
         store.release()
@@ -667,17 +665,10 @@ async def test_calls_that_wait_for_a_store_that_is_too_slow_may_be_made_again() 
         goal = await client.send_goal(9)
         store.hold()
 
-        async def send() -> None:
-            with pytest.raises(GoalKept, match="before its store has answered"):
-                await client.send_goal(1)
-
-        async def cancel() -> None:
-            with pytest.raises(GoalKept, match="before its store has answered"):
-                await goal.cancel()
-
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(send)
-            tasks.start_soon(cancel)
+            late = "before its store has answered"
+            tasks.start_soon(fails, GoalKept, late, client.send_goal, 1)
+            tasks.start_soon(fails, GoalKept, late, goal.cancel)
             await anyio.sleep(1)
             await server.stop()
         store.release()

@@ -30,6 +30,7 @@ from fibaction.server.life import Phase
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.server.scheduling.goal_dispatcher import GoalDispatcher
 from fibaction.words.goals import UNKNOWN_SENDER
+from tests.server.held import fails
 from tests.server.painting import (
     ID,
     PAINT,
@@ -405,12 +406,8 @@ async def test_a_goal_that_waits_for_a_decision_here_is_taken_over_after_it() ->
 
     store = MemoryStore()
     async with server_with(store, on_goal=reject) as server, anyio.create_task_group() as tasks:
-
-        async def send() -> None:
-            with pytest.raises(GoalRejected, match="not here"):
-                await server.send_goal(ID, PAINT.goal.encode(1))
-
-        tasks.start_soon(send)
+        request = PAINT.goal.encode(1)
+        tasks.start_soon(fails, GoalRejected, "not here", server.send_goal, ID, request)
         await anyio.sleep(1)
         store.give("paint", stored(1))
         await anyio.sleep(6)
@@ -429,12 +426,10 @@ async def test_a_goal_that_waits_for_a_decision_here_is_left_alone_if_the_store_
         async with server:
             await server.send_goal(GoalID.random(), PAINT.goal.encode(2))
 
-            async def send() -> None:
-                with pytest.raises(GoalKept):
-                    await server.send_goal(ID, PAINT.goal.encode(1))
-
             async with anyio.create_task_group() as tasks:
-                tasks.start_soon(send)
+                tasks.start_soon(
+                    fails, GoalKept, "failed", server.send_goal, ID, PAINT.goal.encode(1)
+                )
                 await anyio.sleep(1)
                 store.give("paint", stored(1))
                 await anyio.sleep_forever()

@@ -13,17 +13,14 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from fibaction import GoalID, Schedule
 from fibaction.server.scheduling.scheduled_goals import Act, Busy, Order
 from fibaction.server.scheduling.scheduler import EXPIRED, Scheduler
+from tests.server.held import id_of
 
 KILL_AFTER = 3.0
 LASTS = st.sampled_from([math.inf, math.inf, 0.0, 2.0])
 """Seconds until a goal expires."""
 
 
-def goal(number: int) -> GoalID:
-    return GoalID(number.to_bytes(16, "big"))
-
-
-ONE, TWO, THREE = map(goal, range(1, 4))
+ONE, TWO, THREE = map(id_of, range(1, 4))
 
 
 def rules_of(
@@ -145,7 +142,7 @@ class Fleet(RuleBasedStateMachine):
     def arrive(self, key: int, urgency: int, lasts: float) -> tuple[GoalID, dict[str, Any]]:
         """Return a new goal, and what the scheduler is told of it."""
         self.count += 1
-        new = goal(self.count)
+        new = id_of(self.count)
         self.key[new] = key
         self.urgency[new] = (urgency if self.limits.priority else 0, self.count)
         self.expires[new] = self.now + lasts
@@ -371,9 +368,9 @@ def test_a_goal_without_a_place_is_told_the_limits(
 ) -> None:
     scheduler = Scheduler(rules)
     for number in range(1, running + 1):
-        scheduler.offer(goal(number), now=0)
+        scheduler.offer(id_of(number), now=0)
     with pytest.raises(Busy) as caught:
-        scheduler.offer(goal(9), now=0)
+        scheduler.offer(id_of(9), now=0)
     assert str(caught.value) == sentence
 
 
@@ -398,7 +395,7 @@ def test_a_goal_that_is_lost_is_told_and_ordered_nothing_more() -> None:
 def test_a_goal_that_was_lost_and_goes_on_has_all_its_time_and_gives_way() -> None:
     scheduler = told(2, run_timeout=7)
     scheduler.lose(ONE)
-    assert scheduler.go_on(goal(9), 100) == scheduler.go_on(TWO, 100) == []
+    assert scheduler.go_on(id_of(9), 100) == scheduler.go_on(TWO, 100) == []
     assert scheduler.go_on(ONE, 100) == [Order(Act.INTERRUPT, ONE, f"preempted by {TWO}")]
     scheduler.leave(ONE, 101)
     scheduler.lose(TWO)
@@ -408,7 +405,7 @@ def test_a_goal_that_was_lost_and_goes_on_has_all_its_time_and_gives_way() -> No
 
 def test_an_id_that_is_used_again_has_its_own_successor() -> None:
     scheduler = Scheduler(Schedule(concurrency=2, when_full="preempt", handover=math.inf))
-    three, four, five = map(goal, (3, 4, 5))
+    three, four, five = map(id_of, (3, 4, 5))
     scheduler.offer(ONE, now=0)
     scheduler.offer(three, now=0)
     scheduler.offer(TWO, now=0)
@@ -440,7 +437,7 @@ def test_the_room_for_more_is_that_of_the_limits(
 ) -> None:
     scheduler = Scheduler(rules)
     for number in (1, 2):
-        scheduler.offer(goal(number), key=number if rules.key else None, now=0)
+        scheduler.offer(id_of(number), key=number if rules.key else None, now=0)
     assert scheduler.capacity() == (running, waiting)
 
 
@@ -448,7 +445,7 @@ def test_there_is_no_room_where_more_goals_were_restored_than_the_limits_allow()
     scheduler = Scheduler(Schedule(concurrency=1, queue=1))
     assert scheduler.capacity() == (1, 1)
     for number in range(1, 5):
-        scheduler.restore(goal(number), now=0)
+        scheduler.restore(id_of(number), now=0)
     assert scheduler.waiting == 3
     assert scheduler.capacity() == (0, 0)
 
@@ -456,10 +453,10 @@ def test_there_is_no_room_where_more_goals_were_restored_than_the_limits_allow()
 def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> None:
     scheduler = Scheduler(Schedule(total=1, queue=100, priority=lambda _: 0, key=lambda _: None))
     scheduler.offer(ONE, key=0, now=0)
-    urgencies = {goal(number): number * 37 % 101 for number in range(2, 40)}
+    urgencies = {id_of(number): number * 37 % 101 for number in range(2, 40)}
     for number, (goal_id, urgency) in enumerate(urgencies.items()):
         scheduler.offer(goal_id, key=number % 12 + 1, urgency=urgency, now=0)
-    newest = [goal(number) for number in range(100, 160)]
+    newest = [id_of(number) for number in range(100, 160)]
     for urgency, goal_id in enumerate(newest):  # each is the first of its key, for a while
         scheduler.offer(goal_id, key=13, urgency=-1 - urgency, now=0)
     assert len(scheduler._heads) < 50
@@ -472,16 +469,16 @@ def test_keys_keep_their_order_when_those_that_are_out_of_date_are_removed() -> 
 def test_a_queue_keeps_its_order_when_goals_that_have_left_are_removed_from_it() -> None:
     scheduler = Scheduler(Schedule(concurrency=1, queue=300, priority=lambda _: 0))
     scheduler.offer(ONE, urgency=-1, now=0)
-    urgencies = {goal(number): number * 37 % 211 for number in range(2, 200)}
+    urgencies = {id_of(number): number * 37 % 211 for number in range(2, 200)}
     for goal_id, urgency in urgencies.items():
         scheduler.offer(goal_id, urgency=urgency, now=0)
     for number in range(20, 190):
-        scheduler.leave(goal(number), 0)
-        del urgencies[goal(number)]
-    scheduler.offer(goal(200), urgency=1000, now=0)
+        scheduler.leave(id_of(number), 0)
+        del urgencies[id_of(number)]
+    scheduler.offer(id_of(200), urgency=1000, now=0)
     (group,) = scheduler._groups.values()
     assert len(group._heap) < 2 * len(group.queue) + 20
     ended = [ONE]
     while orders := scheduler.leave(ended[-1], 0):
         ended.append(orders[0].goal_id)
-    assert ended == [ONE, *sorted(urgencies, key=lambda one: urgencies[one]), goal(200)]
+    assert ended == [ONE, *sorted(urgencies, key=lambda one: urgencies[one]), id_of(200)]

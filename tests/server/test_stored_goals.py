@@ -16,13 +16,13 @@ from fibaction import (
     ActionClient,
     ActionServer,
     GoalHandle,
-    GoalID,
     GoalStatus,
     Schedule,
     SqliteStore,
     StoreError,
 )
 from fibaction.border.goal_store import StoredGoal
+from tests.server.held import id_of
 from tests.server.painting import PAINT, paint, server_with, store_with, stored
 from tests.server.test_keeper import attached
 from tests.support.memory_store import MemoryStore
@@ -60,10 +60,6 @@ async def refusal(server: ActionServer[Any, Any, Any]) -> str:
     with pytest.raises(StoreError) as caught:
         await server.__aenter__()
     return str(caught.value)
-
-
-def id_of(number: int) -> GoalID:
-    return GoalID(number.to_bytes(16, "big"))
 
 
 @pytest.mark.promise("KEEP-11")

@@ -27,6 +27,7 @@ from fibaction.border.goal_store import StoredGoal
 from fibaction.server.execution.suspects import ALL_TRIALS, TRIAL, Suspects
 from fibaction.server.registry.goal_record import GoalRecord
 from fibaction.words.goals import UNKNOWN_SENDER
+from tests.server.held import id_of
 from tests.server.painting import (
     PAINT,
     Painting,
@@ -48,10 +49,6 @@ WHY = "a suspect, which runs alone: 2 attempts have ended with their process"
 def suspect(number: int = 1, **fields: Any) -> StoredGoal:
     """Return a goal that has lost its second attempt."""
     return stored(1, number, is_running=True, attempt=2, lost=1, **fields)
-
-
-def id_of(number: int) -> GoalID:
-    return GoalID(number.to_bytes(16, "big"))
 
 
 class Painter:

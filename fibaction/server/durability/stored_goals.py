@@ -10,8 +10,8 @@ a goal, and another one can have it.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
-from contextlib import suppress
+from collections.abc import Awaitable, Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Generic
 
 from fibaction._runtime.log import clean_logger
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 RESTARTED = "the server was restarted"
 MOST_NAMED = 3
 """The goals whose IDs are in the error."""
-HISTORY_FAILED = "the server cannot read the history of its goals"
 logger = clean_logger("fibaction.server")
 
 
@@ -197,10 +196,8 @@ class PastGoals:
         Raises:
             ServerFailed: The history cannot be read.
         """
-        try:
+        with self._reading():
             return await self._keeper.past.past_goals(page)
-        except StoreError as exc:
-            raise self._failure(exc) from exc
 
     async def read(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
         """See `Endpoint.read_past`.
@@ -208,10 +205,8 @@ class PastGoals:
         Raises:
             ServerFailed: The history cannot be read.
         """
-        try:
+        with self._reading():
             await self._keeper.past.read_past(wanted, take)
-        except StoreError as exc:
-            raise self._failure(exc) from exc
 
     async def follow(
         self, goal_id: GoalID, *, own: bool, after: int | None, attempt: int
@@ -272,16 +267,12 @@ class PastGoals:
         return new
 
     async def _find(self, goal_id: GoalID) -> StoredGoal | None:
-        try:
+        with self._reading():
             return await self._keeper.past.past_goal(goal_id)
-        except StoreError as exc:
-            raise self._failure(exc) from exc
 
     async def _given_up(self, goal_id: GoalID) -> StoredGoal | None:
-        try:
+        with self._reading():
             return await self._keeper.past.given_up(goal_id)
-        except StoreError as exc:
-            raise self._failure(exc) from exc
 
     def _facts(self, past: StoredGoal) -> GoalFacts:
         facts = GoalFacts(GoalID(past.goal_id), past.stamp)
@@ -294,6 +285,15 @@ class PastGoals:
         facts.held = CountedBytes(self._budget, size)
         return facts
 
-    def _failure(self, error: StoreError) -> ServerFailed:
-        logger.error("the history of action server %r cannot be read: %s", self._action, error)
-        return ServerFailed(HISTORY_FAILED)
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Log and hide an error of the store in the block.
+
+        Raises:
+            ServerFailed: The history cannot be read.
+        """
+        try:
+            yield
+        except StoreError as exc:
+            logger.error("the history of action server %r cannot be read: %s", self._action, exc)
+            raise ServerFailed("the server cannot read the history of its goals") from exc
