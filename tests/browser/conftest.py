@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 
-from tests.browser.served import RobotProcess
+from tests.browser.served import ArchiveProcess, RobotProcess
 
 CHROMIUM = Path("/usr/bin/chromium-headless-shell")
 """The browser without windows, which takes half of the processor time of the one with windows."""
@@ -87,3 +87,10 @@ def new_robot(browser: Browser) -> Generator[Callable[..., RobotProcess], None, 
     yield start
     for robot in started:
         robot.kill()
+
+
+@pytest.fixture
+def archive(browser: Browser, tmp_path: Path) -> Generator[ArchiveProcess, None, None]:
+    """Start a robot whose goals of the past are in a history only."""
+    with ArchiveProcess(tmp_path) as running:
+        yield running

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import struct
@@ -14,50 +13,23 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, BrowserContext, FilePayload, Locator, Page, expect
+from playwright.sync_api import Browser, BrowserContext, FilePayload, Page, expect
 
 from fibaction.observe.recordings.recording_file import Record
+from tests.browser.pages import (
+    LONG,
+    THEMES,
+    NewRobot,
+    action,
+    fits,
+    goal,
+    is_accessible,
+    open_action,
+    row,
+    send,
+)
 from tests.browser.robot import DRIVE
 from tests.browser.served import BridgeProcess, ConsoleProcess, RobotProcess
-
-ID = re.compile("[0-9a-f]{8}")
-LONG = "2000"
-"""An order of `fibonacci` whose goal is active for longer than a test, unless it is canceled."""
-NewRobot = Callable[..., RobotProcess]
-
-
-def open_action(page: Page, robot: RobotProcess, name: str = "fibonacci") -> None:
-    page.goto(f"{robot.url}/#/{name}")
-    expect(page.get_by_role("heading", name=name, exact=True)).to_be_visible()
-
-
-def action(page: Page, name: str) -> Locator:
-    """Return the link of an action in the list of actions, as rows of goals link to it too."""
-    return page.get_by_role("navigation", name="Actions").get_by_role("link", name=name)
-
-
-def send(page: Page, **fields: str) -> str:
-    """Send a goal, and return the first letters of its ID."""
-    shown = page.locator(".goal header code").all_inner_texts()
-    for name, value in fields.items():
-        page.get_by_label(name, exact=True).fill(value)
-    page.get_by_role("button", name="Send goal").click()
-    expect(page.locator(".goal header code")).to_have_text(ID)
-    for before in shown:
-        expect(page.locator(".goal header code")).not_to_have_text(before)
-    return page.locator(".goal header code").inner_text()
-
-
-def goal(page: Page) -> Locator:
-    """Return the part of the page that shows one goal."""
-    return page.locator(".goal")
-
-
-def row(page: Page, goal_id: str) -> Locator:
-    """Return the row of a goal in the table."""
-    return page.get_by_role("row").filter(has=page.get_by_role("link", name=goal_id, exact=True))
-
 
 # To send and to follow
 
@@ -366,10 +338,7 @@ def test_a_view_from_above_is_zoomed_by_buttons_wheel_drag_and_keys(
     change(lambda: view.press("0"), "From above (m): all")
 
     change(lambda: view.press("+"), part)
-    for theme in ("light", "dark"):
-        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
-        found = Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
+    is_accessible(page)
     change(lambda: view.press("Escape"), "From above (m): all")
     expect(goal(page)).to_have_count(1)
 
@@ -630,21 +599,8 @@ def test_the_goals_of_others_are_shown_after_a_stop_in_good_order(
         expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
 
 
-def test_goals_are_searched_and_filtered(page: Page, robot: RobotProcess) -> None:
-    open_action(page, robot, "break")
-    broken = send(page, order="7")
-    expect(goal(page).locator(".badge")).to_have_text("✕ aborted")
-    page.goto(f"{robot.url}/#/")
-    expect(page.get_by_role("heading", name="All actions")).to_be_visible()
-    page.get_by_label("Search goals").fill("stuck 7")
-    expect(row(page, broken)).to_be_visible()
-    page.get_by_label("Search goals").fill("nothing like it")
-    expect(row(page, broken)).to_have_count(0)
-    page.get_by_label("Search goals").fill("")
-    page.get_by_label("Filter goals").select_option("active")
-    expect(row(page, broken)).to_have_count(0)
-    page.get_by_label("Filter goals").select_option("not succeeded")
-    expect(row(page, broken)).to_be_visible()
+def test_actions_are_searched(page: Page, robot: RobotProcess) -> None:
+    page.goto(robot.url)
     page.get_by_label("Search actions").fill("dri")
     expect(page.get_by_role("navigation").get_by_role("link")).to_have_text(
         ["All actions", "Map", re.compile("arm/drive")]
@@ -764,10 +720,7 @@ def test_a_recording_is_shown_in_place_of_the_server(
     expect(lines).to_contain_text(re.compile(r"3\.000 s.*2\.000 s.*1\.000 s", re.DOTALL))
     for name in ("Send goal", "Use as new goal", "Cancel goal", "Clear list"):
         expect(page.get_by_role("button", name=name)).to_have_count(0)
-    for theme in ("light", "dark"):
-        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
-        found = Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
+    is_accessible(page)
     page.get_by_role("button", name="Close", exact=True).click()
     expect(page.locator("#connection")).to_have_text("connected")
     expect(action(page, "fibonacci")).to_be_visible()
@@ -878,24 +831,23 @@ def test_a_parent_that_is_not_known_here_is_no_link_and_a_step_is_text(
 def test_each_page_is_accessible_and_fits_a_phone(
     page: Page, robot: RobotProcess, name: str
 ) -> None:
-    # Without transitions, in the middle of which a colour has no contrast yet.
-    page.emulate_media(color_scheme="light", reduced_motion="reduce")
     open_action(page, robot, name or "fibonacci")
     send(page)
     expect(goal(page).locator(".badge").first).to_have_text("✓ succeeded")
     if not name:
         page.goto(f"{robot.url}/#/")
         expect(page.get_by_role("heading", name="All actions")).to_be_visible()
-    light = Axe().run(page)
-    assert light.violations_count == 0, light.generate_report()
-    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
-    page.emulate_media(color_scheme="dark", reduced_motion="reduce")
-    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != ground
-    dark = Axe().run(page)
-    assert dark.violations_count == 0, dark.generate_report()
-    page.set_viewport_size({"width": 360, "height": 740})
-    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-    assert page.evaluate(wide) <= 0
+    is_accessible(page)
+    fits(page, 360)
+
+
+def test_a_page_has_the_theme_of_the_system(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    grounds = set[str]()
+    for theme in THEMES:
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        grounds.add(page.evaluate("getComputedStyle(document.body).backgroundColor"))
+    assert len(grounds) == 2
 
 
 def test_the_theme_can_be_chosen_and_is_remembered(page: Page, robot: RobotProcess) -> None:
@@ -951,65 +903,7 @@ def test_a_hundred_active_goals_need_no_clock_for_each_row_and_frame(
     assert page.evaluate(FRAMES) - before < 30
 
 
-# A robot that is away
-
-
-COUNT_LINES = """
-    () => {
-      const texts = document.createTreeWalker(document.querySelector(".bar"), NodeFilter.SHOW_TEXT);
-      const middles = [];
-      const range = document.createRange();
-      while (texts.nextNode()) {
-        range.selectNodeContents(texts.currentNode);
-        for (const { top, bottom } of range.getClientRects()) {
-          const middle = (top + bottom) / 2;
-          if (!middles.some((one) => Math.abs(one - middle) < 8)) middles.push(middle);
-        }
-      }
-      return middles.length;
-    }
-"""
-
-
-def test_a_robot_that_is_away_does_not_look_alive_and_comes_back_by_itself(
-    page: Page, new_robot: NewRobot
-) -> None:
-    robot = new_robot()
-    with BridgeProcess(robot) as bridge:
-        open_action(page, bridge)
-        running = send(page, order=LONG)
-        expect(row(page, running).locator(".badge")).to_have_text("▶ executing")
-
-        robot.kill()
-        expect(row(page, running).locator(".badge")).to_have_text("▶ was executing")
-        expect(action(page, "fibonacci")).to_contain_text("away")
-        expect(page.locator("#connection")).to_have_text("connected, servers are away")
-        expect(page.get_by_text("The server of fibonacci is away since")).to_be_visible()
-        page.set_viewport_size({"width": 390, "height": 844})
-        assert page.evaluate(COUNT_LINES) == 2
-        page.get_by_role("button", name="Send goal").click()
-        expect(page.get_by_role("alert")).to_contain_text("nothing was sent", timeout=3000)
-
-        robot.start()
-        expect(row(page, running).locator(".badge")).to_have_text("? unknown")
-        expect(page.locator("#connection")).to_have_text("connected")
-        expect(page.get_by_text("and is tried again")).to_be_hidden()
-        send(page, order="3")
-        expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
-
-
-def test_a_goal_whose_robot_was_frozen_goes_on_where_it_was(
-    page: Page, new_robot: NewRobot
-) -> None:
-    robot = new_robot()
-    with BridgeProcess(robot) as bridge:
-        open_action(page, bridge)
-        running = send(page, order=LONG)
-        os.kill(robot.pid, signal.SIGSTOP)
-        expect(row(page, running).locator(".badge")).to_have_text("▶ was executing")
-        os.kill(robot.pid, signal.SIGCONT)
-        expect(row(page, running).locator(".badge")).to_have_text("▶ executing")
-        expect(goal(page).locator(".reason")).to_be_hidden()
+# Feedback that was left, or comes late
 
 
 def test_a_goal_that_is_left_and_shown_again_has_its_feedback_once(

@@ -16,14 +16,30 @@ from typing import NamedTuple
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
+from tests.browser.pages import LONG, goal, line, row, rows, send
 from tests.browser.served import BridgeProcess, ConsoleProcess, RobotProcess, WorkerProcess
-from tests.browser.test_console import LONG, row, send
-from tests.browser.test_history import rows
-from tests.browser.test_servers import line
 from tests.support.nats_server import IS_LEFT_OUT, NatsServer, nats_server
 
 AT_ONCE = 3000
 """Milliseconds within which a page refuses to send to a server that is known to be away."""
+
+
+COUNT_LINES = """
+    () => {
+      const texts = document.createTreeWalker(document.querySelector(".bar"), NodeFilter.SHOW_TEXT);
+      const middles = [];
+      const range = document.createRange();
+      while (texts.nextNode()) {
+        range.selectNodeContents(texts.currentNode);
+        for (const { top, bottom } of range.getClientRects()) {
+          const middle = (top + bottom) / 2;
+          if (!middles.some((one) => Math.abs(one - middle) < 8)) middles.push(middle);
+        }
+      }
+      return middles.length;
+    }
+"""
+"""Counts the lines of the header."""
 
 
 class Part(NamedTuple):
@@ -135,6 +151,11 @@ def test_each_page_says_what_is_gone_sends_nothing_and_comes_back_by_itself(
             expect(own.get_by_role("alert").first).to_contain_text("nothing was sent")
         for page in (own, every, robots, *([servers] if case.server else [])):
             expect(page.locator("#connection")).to_have_text(case.head)
+        if case.head is SERVER_AWAY:
+            expect(own.get_by_text("The server of arm/fibonacci is away since")).to_be_visible()
+        own.set_viewport_size({"width": 390, "height": 844})
+        assert own.evaluate(COUNT_LINES) == 2
+        own.set_viewport_size({"width": 1280, "height": 860})
         for page in (own, every):
             expect(row(page, running).locator(".badge")).to_have_text("▶ was executing")
         if case.server:
@@ -150,6 +171,8 @@ def test_each_page_says_what_is_gone_sends_nothing_and_comes_back_by_itself(
         for page in (own, every):
             if case.after:
                 expect(row(page, running).locator(".badge")).to_have_text(case.after)
+        if case.after == "▶ executing":
+            expect(goal(own).locator(".reason")).to_be_hidden()
             expect(row(page, running)).to_have_count(1)
         if case.server:
             expect(line(servers, "arm")).to_contain_text("connected")

@@ -1,17 +1,16 @@
-"""The console of a fleet in a real browser: its broker is killed, frozen and started again."""
+"""The console of a fleet in a real browser: its workers, and the one that has a goal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from fibaction import __version__
+from tests.browser.pages import LONG, action, fits, goal, is_accessible, line, row, send
 from tests.browser.served import ConsoleProcess, WorkerProcess
-from tests.browser.test_console import action, goal, row, send
-from tests.browser.test_servers import LONG, is_accessible, line
 from tests.support.nats_server import IS_LEFT_OUT, NatsServer
 
 pytestmark = pytest.mark.skipif(IS_LEFT_OUT, reason="nats-server is not installed")
@@ -24,7 +23,7 @@ def broker(browser: Browser, tmp_path: Path) -> Generator[NatsServer, None, None
     server.kill()
 
 
-def test_a_fleet_whose_broker_goes_is_away_and_takes_goals_again_when_it_is_back(
+def test_the_workers_of_a_fleet_are_listed_and_a_goal_tells_its_worker(
     page: Page, broker: NatsServer
 ) -> None:
     url = broker.url("arms", "?worker=left")
@@ -38,18 +37,6 @@ def test_a_fleet_whose_broker_goes_is_away_and_takes_goals_again_when_it_is_back
         expect(worker).to_contain_text(__version__)
         expect(worker).to_contain_text("1 goal")
 
-        def restart() -> None:
-            broker.start()
-
-        ends: list[tuple[Callable[[], None], Callable[[], None]]] = [
-            (broker.freeze, broker.thaw),
-            (broker.kill, restart),
-        ]
-        for end, again in ends:
-            end()
-            expect(line(page, "fleet")).to_contain_text("away since")
-            again()
-            expect(line(page, "fleet")).to_contain_text("connected")
         page.goto(f"{console.url}/#/fleet/fibonacci")
         expect(row(page, running)).to_be_visible()
         send(page, order="3")
@@ -57,3 +44,4 @@ def test_a_fleet_whose_broker_goes_is_away_and_takes_goals_again_when_it_is_back
         expect(goal(page)).to_contain_text("worker left")
         page.goto(f"{console.url}/#servers")
         is_accessible(page)
+        fits(page, 390)

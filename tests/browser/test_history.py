@@ -11,13 +11,12 @@ from typing import Any
 
 import msgspec
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
 from fibaction.observe.recordings.recording_file import Record
 from tests.browser.archive import GOALS, PAINT
+from tests.browser.pages import chosen, goal, is_accessible, open_action, rows, send
 from tests.browser.served import ArchiveProcess, RobotProcess
-from tests.browser.test_console import goal, open_action, send
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +26,6 @@ def archive(
     """Start one server with a past for all tests, which do not change it."""
     with ArchiveProcess(tmp_path_factory.mktemp("archive")) as running:
         yield running
-
-
-def rows(page: Page) -> Locator:
-    return page.get_by_role("table", name="Goals").locator("tbody tr")
 
 
 def choose_label(page: Page, label: str) -> None:
@@ -140,10 +135,6 @@ def test_a_view_is_saved_and_opened_again(page: Page, archive: RobotProcess) -> 
     expect(page.get_by_role("link", name="Empty cans")).to_have_count(0)
 
 
-def chosen(page: Page) -> Locator:
-    return page.get_by_role("group", name="Chosen goals")
-
-
 def test_goals_are_chosen_and_sent_again_canceled_and_saved(
     page: Page, browser: Browser, tmp_path: Path
 ) -> None:
@@ -233,10 +224,7 @@ def test_two_goals_are_compared(page: Page, archive: RobotProcess) -> None:
         expect(comparison).to_contain_text(text)
     expect(comparison).to_contain_text(re.compile(r"goal\.order\s*229\s*230"))
     expect(comparison).not_to_contain_text("goal.spots[0].y")
-    for theme in ("light", "dark"):
-        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
-        found = Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
+    is_accessible(page)
     open_action(page, archive, "varnish")
     send(page, order="1")
     expect(comparison).to_contain_text("Only goals of one action are compared")

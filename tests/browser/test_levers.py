@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
-import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, Route, expect
 
 from fibaction import GoalID, GoalStatus
@@ -19,26 +16,8 @@ from fibaction.stores.journal_rows import WholeRecord, encode_row
 from fibaction.words.goals import UNKNOWN_SENDER, digest_of
 from fibaction.words.intake import NO_LEVERS
 from tests.browser.archive import VARNISH, Paint
+from tests.browser.pages import NewRobot, action, fits, goal, is_accessible, open_action, send
 from tests.browser.served import ArchiveProcess, RobotProcess
-from tests.browser.test_console import NewRobot, action, goal, open_action, send
-
-
-@pytest.fixture
-def archive(browser: object, tmp_path: Path) -> Generator[ArchiveProcess, None, None]:
-    """Start a robot with a history."""
-    with ArchiveProcess(tmp_path) as running:
-        yield running
-
-
-def is_accessible(page: Page) -> None:
-    found = Axe().run(page)
-    assert found.violations_count == 0, found.generate_report()
-
-
-def fits(page: Page, width: int) -> None:
-    page.set_viewport_size({"width": width, "height": 740})
-    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-    assert page.evaluate(wide) <= 0
 
 
 def test_an_action_is_paused_and_resumed_after_questions_that_enter_does_not_answer_with_yes(

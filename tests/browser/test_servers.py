@@ -8,14 +8,23 @@ import signal
 from collections.abc import Generator
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import FilePayload, Locator, Page, expect
+from playwright.sync_api import FilePayload, Page, expect
 
 from fibaction import __version__
+from tests.browser.pages import (
+    LONG,
+    NewRobot,
+    action,
+    fits,
+    goal,
+    is_accessible,
+    line,
+    open_action,
+    row,
+    send,
+)
 from tests.browser.served import ConsoleProcess, RobotProcess
-from tests.browser.test_console import NewRobot, action, drive, goal, open_action, png, row, send
-
-LONG = "2000"
+from tests.browser.test_console import drive, png
 
 
 @pytest.fixture
@@ -28,21 +37,6 @@ def console(north: RobotProcess, robot: RobotProcess) -> Generator[ConsoleProces
     """Start the console of a robot of the test's own, and of one for all tests."""
     with ConsoleProcess(f"north={north.url}", f"south={robot.url}") as running:
         yield running
-
-
-def line(page: Page, name: str) -> Locator:
-    """Return the row of a server."""
-    return page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=name, exact=True))
-
-
-def is_accessible(page: Page) -> None:
-    for theme in ("light", "dark"):
-        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
-        found = Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
-    page.set_viewport_size({"width": 390, "height": 740})
-    wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-    assert page.evaluate(wide) <= 0
 
 
 def test_the_servers_are_listed_and_their_actions_are_in_namespaces(
@@ -67,6 +61,7 @@ def test_the_servers_are_listed_and_their_actions_are_in_namespaces(
     action(page, "Servers").click()
     expect(line(page, "north")).to_be_visible()
     is_accessible(page)
+    fits(page, 390)
     for part in (
         line(page, "north").get_by_role("rowheader"),
         line(page, "north").locator(".badge"),
@@ -164,6 +159,7 @@ def test_all_robots_are_on_one_map_with_a_ground_and_one_that_goes_stays_where_i
     page.reload()
     page.wait_for_function(green)
     is_accessible(page)
+    fits(page, 390)
     line(page, "south/arm/drive").get_by_role("link").click()
     expect(goal(page).locator(".badge")).to_have_text("✓ succeeded")
 
@@ -210,6 +206,7 @@ def test_times_are_told_in_utc_if_that_is_wanted_and_it_is_remembered(
     expect(goal(page).locator(".facts")).not_to_contain_text("UTC")
     page.get_by_role("button", name="Settings").click()
     is_accessible(page)
+    fits(page, 390)
     page.get_by_label("Times in").select_option("UTC")
     page.keyboard.press("Escape")
     times = re.compile(r"\d\d:\d\d:\d\d UTC")

@@ -8,11 +8,10 @@ import signal
 from collections.abc import Generator
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from tests.browser.pages import goal, is_accessible, send
 from tests.browser.served import ConsoleProcess, RosRobotProcess
-from tests.browser.test_console import goal, send
 from tests.support.ros_domain import own_domain
 
 
@@ -54,10 +53,7 @@ def test_a_topic_is_beside_a_goal_if_its_action_names_it_or_a_person_adds_it(
     choice.select_option("base/odom")
     odom = topic(page, "base/odom")
     expect(odom.get_by_role("img", name=re.compile("From above.*pose"))).to_be_visible()
-    for theme in ("light", "dark"):
-        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
-        found = Axe().run(page)
-        assert found.violations_count == 0, found.generate_report()
+    is_accessible(page)
 
     latest = odom.get_by_label("Latest message of")
     os.kill(robot.pid, signal.SIGSTOP)

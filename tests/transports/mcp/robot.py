@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeAlias, cast
 
 import anyio
 from mcp import Client
@@ -31,6 +31,7 @@ from tests.transports.driving_robot import DRIVE, Arrived, Drive, Driven, Drivin
 Mode = Literal["legacy", "auto"]
 MODES: tuple[Mode, ...] = ("legacy", "auto")
 """The protocol with a handshake, and the one without."""
+Answer: TypeAlias = Literal["accept", "decline", "cancel"] | Callable[..., Any] | None
 UNASKED = AgentPolicy(unasked=("*",))
 
 
@@ -108,27 +109,26 @@ def text_of(result: CallToolResult) -> str:
 
 
 @asynccontextmanager
-async def talk(
-    bridge: McpBridge, mode: Mode, answer: Literal["accept", "decline", "cancel"] | None = None
-) -> AsyncGenerator[Talk, None]:
-    """Connect a client; with `answer`, it can ask its user, who always answers so."""
+async def talk(bridge: McpBridge, mode: Mode, answer: Answer = None) -> AsyncGenerator[Talk, None]:
+    """Connect a client; with `answer`, it can ask its user, who answers so, or by it."""
     made = Talk()
     made.bridge = bridge
 
     async def ask(context: Any, params: Any) -> ElicitResult:
         assert isinstance(params, ElicitRequestFormParams)
         made.asked.append(params.message)
-        assert answer is not None
+        assert isinstance(answer, str)
         return ElicitResult(action=answer, content={} if answer == "accept" else None)
 
     async def note(message: Any) -> None:
         if type(message).__name__ == "ToolListChangedNotification":
             made.told.set()
 
+    callback: Any = ask if isinstance(answer, str) else answer
     made.client = Client(
         bridge.server,
         mode=mode,
-        elicitation_callback=ask if answer else None,
+        elicitation_callback=callback,
         message_handler=note,
     )
     async with made.client:
@@ -139,7 +139,7 @@ async def talk(
 async def robot_and_talk(
     mode: Mode,
     policy: AgentPolicy | None = None,
-    answer: Literal["accept", "decline", "cancel"] | None = None,
+    answer: Answer = None,
 ) -> AsyncGenerator[tuple[Robot, Talk], None]:
     """A robot that is served, a bridge to it, and a client of that."""
     robot = Robot()

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import pytest
-from mcp import Client
 from mcp_types import (
     CallToolResult,
     ClientCapabilities,
@@ -21,19 +18,16 @@ from mcp_types import (
     UrlElicitationCapability,
 )
 
-from fibaction import serve
 from fibaction.schema.payload import JsonCodec
 from fibaction_transports._agents import questions
 from fibaction_transports._agents.questions import UnshownGoal, goal_text
-from fibaction_transports.mcp import AgentPolicy, McpBridge, consent
+from fibaction_transports.mcp import AgentPolicy, consent
 from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
     MODES,
     YES,
     Mode,
-    Robot,
     Rounds,
-    Talk,
     robot_and_talk,
     sent_by_others,
     text_of,
@@ -130,24 +124,11 @@ async def test_an_own_goal_is_canceled_without_a_question(mode: Mode) -> None:
 # The protocol with a handshake
 
 
-@asynccontextmanager
-async def talk_with(bridge: McpBridge, callback: Any) -> AsyncGenerator[Talk, None]:
-    made = Talk()
-    made.client = Client(bridge.server, mode="legacy", elicitation_callback=callback)
-    async with made.client:
-        yield made
-
-
 async def test_a_client_that_fails_to_ask_sends_nothing() -> None:
     async def fail(*_: object) -> ErrorData:
         return ErrorData(code=-32000, message="no window")
 
-    robot = Robot()
-    async with (
-        serve(robot.drive, robot.here),
-        McpBridge(robot.here) as bridge,
-        talk_with(bridge, fail) as made,
-    ):
+    async with robot_and_talk("legacy", answer=fail) as (robot, made):
         assert "the client failed to ask" in await made.error("arm-drive", meters=3)
         assert robot.sent == []
 
@@ -161,12 +142,7 @@ async def test_a_user_who_does_not_answer_is_waited_for_a_limited_time(
         await anyio.sleep_forever()
         raise AssertionError
 
-    robot = Robot()
-    async with (
-        serve(robot.drive, robot.here),
-        McpBridge(robot.here) as bridge,
-        talk_with(bridge, never) as made,
-    ):
+    async with robot_and_talk("legacy", answer=never) as (robot, made):
         assert "there was no answer in 0.02 s" in await made.error("arm-drive", meters=3)
         assert robot.sent == []
 
@@ -214,20 +190,6 @@ async def test_a_second_call_without_an_answer_sends_nothing() -> None:
             assert isinstance(result, CallToolResult)
             assert "has not answered the question" in text_of(result)
         assert robot.sent == []
-
-
-async def test_the_oldest_of_too_many_questions_is_forgotten(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(questions, "MOST_QUESTIONS", 2)
-    async with robot_and_talk("auto", answer="accept") as (robot, made):
-        rounds = Rounds(made)
-        states = [await rounds.ask() for _ in range(3)]
-        newest = await rounds.call(input_responses=YES, request_state=states[2])
-        assert isinstance(newest, CallToolResult)
-        oldest = await rounds.call(input_responses=YES, request_state=states[0])
-        assert isinstance(oldest, InputRequiredResult)
-        assert len(robot.sent) == 1
 
 
 @pytest.mark.parametrize(

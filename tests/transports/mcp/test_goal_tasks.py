@@ -21,7 +21,6 @@ from mcp_types.jsonrpc import (
 
 from fibaction import ActionError, ConnectionLost, GoalID, GoalStatus, Outcome, UnknownGoal, serve
 from fibaction.words.goals import UNKNOWN_OUTCOME
-from fibaction_transports._agents import questions
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
 from fibaction_transports.mcp import AgentPolicy, McpBridge
 from fibaction_transports.mcp.goal_tasks import EXTENSION, detailed
@@ -109,7 +108,7 @@ async def test_a_goal_that_is_rejected_is_no_task() -> None:
 
 
 async def test_a_task_is_canceled_and_has_its_partial_result() -> None:
-    async with tasking(AgentPolicy(), elicitation_callback=accept) as (robot, client):
+    async with tasking(AgentPolicy(), elicitation_callback=yes) as (robot, client):
         task = (await start(client, "arm-drive", meters=100)).task_id
         await robot.waits.wait()
         assert await ask(client, "tasks/cancel", task) == {"resultType": "complete"}
@@ -120,11 +119,6 @@ async def test_a_task_is_canceled_and_has_its_partial_result() -> None:
         assert await ask(client, "tasks/cancel", task) == {"resultType": "complete"}
         answer = await ask(client, "tasks/update", task, input_responses={"a": {}})
         assert answer == {"resultType": "complete"}
-
-
-async def accept(context: Any, params: Any) -> Any:
-    """Say that the client can ask its user, for whom `start` answers."""
-    raise AssertionError
 
 
 async def test_a_cancel_that_is_rejected_is_an_error_and_the_task_goes_on() -> None:
@@ -237,19 +231,6 @@ async def test_a_task_whose_answer_is_cut_while_its_goal_is_sent_is_canceled(
             tasks.cancel_scope.cancel()
         await until(client, task_id, "cancelled")
         assert robot.sent == []
-
-
-async def test_a_question_of_a_task_expires_and_only_so_many_wait(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(questions, "MOST_QUESTIONS", 1)
-    async with tasking(AgentPolicy(), elicitation_callback=yes) as (_, client):
-        one, two = await asked(client, meters=3), await asked(client, meters=3)
-        assert (await error_of(client, "tasks/get", one))[0] == INVALID_PARAMS
-        assert (await ask(client, "tasks/get", two))["status"] == "input_required"
-        monkeypatch.setattr(questions, "QUESTION_TIMEOUT", 0)
-        late = await asked(client, meters=3)
-        assert (await error_of(client, "tasks/get", late))[0] == INVALID_PARAMS
 
 
 async def test_a_bridge_that_is_read_only_shows_tasks_and_cancels_none() -> None:

@@ -351,12 +351,6 @@ async def test_it_needs_asyncio() -> None:
     await anyio.to_thread.run_sync(lambda: anyio.run(main, backend="trio"))
 
 
-async def test_two_actions_of_one_name_cannot_be_served() -> None:
-    with pytest.raises(TransportError, match="two of the endpoints"):
-        async with serve((Robot().drive, Robot().drive), McpHttpTransport(token=TOKEN)):
-            pass
-
-
 @both
 async def test_it_ends_while_a_tool_waits(mode: Mode) -> None:
     robot = Robot()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable, Collection
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
 
@@ -12,9 +12,13 @@ import anyio
 import h11
 from anyio.abc import SocketStream
 
+from fibaction import Endpoint, Peer, Permission, Transport, serve
 from fibaction.border.http_access import headers_in
 from tests.support.processes import PATIENCE
 from tests.transports.hearing import port_of
+from tests.transports.tcp.servers import new_server
+
+HTTP = "http://127.0.0.1:0"
 
 
 class Answer(NamedTuple):
@@ -115,15 +119,34 @@ async def fetch(url: str, method: str, path: str, data: Any = None, **headers: s
         return Answer(status, answered, await client.rest())
 
 
-async def said_to(url: str, *pieces: bytes) -> bytes:
-    """Everything that a server says until it closes."""
+async def said_to(url: str, *pieces: bytes, in_turn: bool = False) -> bytes:
+    """Everything that a server says until it closes; in turn, each piece comes when it has read the
+    one before.
+    """
     said = b""
     async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
         for piece in pieces:
             await stream.send(piece)
+            if in_turn:
+                await anyio.wait_all_tasks_blocked()
         with anyio.fail_after(PATIENCE):
             try:
                 while True:
                     said += await stream.receive()
             except (anyio.EndOfStream, anyio.BrokenResourceError):
                 return said
+
+
+@asynccontextmanager
+async def served(
+    *endpoints: Endpoint, where: str | Transport = HTTP, **settings: Any
+) -> AsyncGenerator[str, None]:
+    """Serve endpoints, or else a server of `fibonacci`, for a block that does not last long."""
+    with anyio.fail_after(PATIENCE):
+        async with serve(endpoints or new_server(), where, **settings) as (url,):
+            yield url
+
+
+def permitting(may: Collection[Permission]) -> Callable[[Peer, str, Permission], bool]:
+    """Return the rule that everyone may do what is in a collection, which a test may change."""
+    return lambda _peer, _action, permission: permission in may

@@ -14,7 +14,7 @@ from fibaction.feeds import answers
 from tests.support.fibonacci import FIBONACCI
 from tests.support.ports import free_port
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import fetch
+from tests.transports.web.http_client import fetch, served
 
 pytestmark = pytest.mark.anyio
 GOALS = "/actions/fibonacci/goals"
@@ -81,15 +81,14 @@ async def test_a_list_does_not_wait_for_a_frozen_server_until_it_counts_as_away(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(answers, "ANSWERING", 0.05)
-    with anyio.fail_after(20):
-        async with serve(Frozen(new_server()), "http://127.0.0.1:0") as (url,):
-            found = await fetch(url, "GET", "/goals")
-            assert (found.status, found.json["away"]) == (200, ["fibonacci"])
-            for method, path in (
-                ("GET", GOALS),
-                ("DELETE", f"{GOALS}?status=active"),
-                ("GET", "/actions/fibonacci/stats"),
-            ):
-                answer = await fetch(url, method, path)
-                assert (answer.status, answer.headers["retry-after"]) == (503, "1")
-                assert "has not answered for 0.05 s" in answer.json["detail"]
+    async with served(Frozen(new_server())) as url:
+        found = await fetch(url, "GET", "/goals")
+        assert (found.status, found.json["away"]) == (200, ["fibonacci"])
+        for method, path in (
+            ("GET", GOALS),
+            ("DELETE", f"{GOALS}?status=active"),
+            ("GET", "/actions/fibonacci/stats"),
+        ):
+            answer = await fetch(url, method, path)
+            assert (answer.status, answer.headers["retry-after"]) == (503, "1")
+            assert "has not answered for 0.05 s" in answer.json["detail"]

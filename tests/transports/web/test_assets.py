@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import gzip
 import re
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from html.parser import HTMLParser
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from typing import Any
 
-import anyio
 import pytest
 
-from fibaction import serve
 from fibaction_transports.web.http.assets import (
     CLIENT,
     MEDIA_TYPES,
@@ -22,21 +17,13 @@ from fibaction_transports.web.http.assets import (
     all_assets,
     as_served,
 )
-from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import fetch
+from tests.transports.web.http_client import fetch, served
 
 pytestmark = pytest.mark.anyio
 
 MOST_BYTES = 100_000
 """What a browser gets of the console, compressed."""
 MOST_BYTES_OF_API_PAGE = 9_000
-
-
-@asynccontextmanager
-async def served(where: str = "http://127.0.0.1:0", **settings: Any) -> AsyncGenerator[str, None]:
-    with anyio.fail_after(20):
-        async with serve(new_server(), where, **settings) as (url,):
-            yield url
 
 
 async def test_the_console_is_at_the_root_with_a_strict_policy() -> None:
@@ -90,7 +77,7 @@ async def test_files_need_no_token_are_only_read_and_other_hosts_do_not_get_them
 
 
 async def test_a_server_may_be_without_the_console() -> None:
-    async with served("http://127.0.0.1:0?console=false") as url:
+    async with served(where="http://127.0.0.1:0?console=false") as url:
         assert (await fetch(url, "GET", "/")).status == 404
         assert (await fetch(url, "GET", "/console/style.css")).status == 404
         assert (await fetch(url, "GET", "/docs")).status == 404
@@ -98,7 +85,7 @@ async def test_a_server_may_be_without_the_console() -> None:
 
 
 async def test_below_a_path_the_page_is_found_with_and_without_a_slash() -> None:
-    async with served("http://127.0.0.1:0/robot") as below:
+    async with served(where="http://127.0.0.1:0/robot") as below:
         url = below.removesuffix("/robot")
         there = await fetch(url, "GET", "/robot")
         assert (there.status, there.headers["location"]) == (308, "/robot/")

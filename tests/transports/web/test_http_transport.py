@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ssl
-from collections.abc import AsyncGenerator
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, suppress
 from typing import Any
 
 import anyio
@@ -21,22 +20,15 @@ from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Goal, Result
 from tests.transports.hearing import Hearing, hearing, port_of
 from tests.transports.tcp.servers import new_server, works
-from tests.transports.web.http_client import client_of, fetch, said_to
+from tests.transports.web.http_client import client_of, fetch, said_to, served
+from tests.transports.web.test_rest import Held
 from tests.transports.web.upgrade import UPGRADE, upgrade
 
 pytestmark = pytest.mark.anyio
 
-HTTP = "http://127.0.0.1:0"
 GOALS = "/actions/fibonacci/goals"
 MANY = b"GET /fibaction.js HTTP/1.1\r\nHost: [::1]\r\n\r\n" * 1500
 """Requests whose answers are more than a socket holds."""
-
-
-@asynccontextmanager
-async def served(where: str = HTTP, **settings: Any) -> AsyncGenerator[str, None]:
-    with anyio.fail_after(20):
-        async with serve(new_server(), where, **settings) as (url,):
-            yield url
 
 
 async def let_in(url: str) -> None:
@@ -51,7 +43,7 @@ async def let_in(url: str) -> None:
 
 async def test_it_speaks_tls(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SSL_CERT_FILE", pems().ca)
-    async with served(f"https://127.0.0.1:0?cert={pems().cert}") as url:
+    async with served(where=f"https://127.0.0.1:0?cert={pems().cert}") as url:
         assert await works(url)
         assert await works(url.replace("https", "wss"))
         context = ssl.create_default_context(cafile=pems().ca)
@@ -65,7 +57,7 @@ async def test_it_speaks_tls(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_everything_is_below_the_path() -> None:
-    async with served("http://127.0.0.1:0/arm") as url:
+    async with served(where="http://127.0.0.1:0/arm") as url:
         at = url.removesuffix("/arm")
         answer = await fetch(at, "POST", f"/arm{GOALS}?wait=5", {"order": 1})
         assert answer.headers["location"].startswith(f"/arm{GOALS}/")
@@ -126,12 +118,9 @@ async def test_a_request_is_read_as_its_standard_has_it(head: bytes, status: int
 
 
 async def test_a_request_that_comes_in_pieces_is_answered() -> None:
-    async with served() as url, await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
-        for piece in (b"\r\n", b"GET /actions HTTP/1.1\r", b"\nHost: [::1]\r\n\r\n"):
-            await stream.send(piece)
-            await anyio.wait_all_tasks_blocked()
-        with anyio.fail_after(20):
-            assert (await stream.receive()).startswith(b"HTTP/1.1 200 ")
+    async with served() as url:
+        pieces = b"\r\n", b"GET /actions HTTP/1.1\r", b"\nHost: [::1]\r\nConnection: close\r\n\r\n"
+        assert (await said_to(url, *pieces, in_turn=True)).startswith(b"HTTP/1.1 200 ")
 
 
 async def test_an_empty_line_between_two_requests_is_no_request() -> None:
@@ -233,23 +222,8 @@ async def test_what_comes_behind_a_request_is_kept_for_the_next(
         f"Content-Length: {len(body)}\r\n\r\n"
     ).encode() + body
     last = b"GET /actions HTTP/1.1\r\nHost: [::1]\r\nConnection: close\r\n\r\n"
-    with anyio.fail_after(20):
-        async with serve(_held(), HTTP) as (url,):
-            async with await anyio.connect_tcp("127.0.0.1", port_of(url)) as stream:
-                await stream.send(post)
-                await anyio.wait_all_tasks_blocked()
-                await stream.send(last)
-                said = b""
-                with pytest.raises(anyio.EndOfStream):
-                    while True:
-                        said += await stream.receive()
-    assert said.count(b"HTTP/1.1 20") == 2
-
-
-def _held() -> Any:
-    from tests.transports.web.test_rest import Held
-
-    return Held().server
+    async with served(Held().server) as url:
+        assert (await said_to(url, post, last, in_turn=True)).count(b"HTTP/1.1 20") == 2
 
 
 # Limits, and the end

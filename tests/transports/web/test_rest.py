@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import anyio
 import msgspec
@@ -33,7 +32,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream, Meta
+from fibaction.border.abc import ForwardingEndpoint, GoalStream, LogLine, Meta
 from fibaction.schema.payload import PayloadError
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost
@@ -42,19 +41,14 @@ from fibaction_transports.web.rest import goal_events
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import Answer, client_of, fetch
+from tests.transports.web.http_client import Answer, client_of, fetch, permitting, served
 
 pytestmark = pytest.mark.anyio
 
-HTTP = "http://127.0.0.1:0"
 ACTION = "/actions/fibonacci"
 GOALS = f"{ACTION}/goals"
 ID = "0123456789abcdef0123456789abcdef"
 EVENTS = "text/event-stream"
-WRONG_TIME = (
-    "since: 'yesterday' is not a time: it is as in 2026-01-31T12:00:00Z, or 10m for ten minutes"
-    " ago, or nanoseconds since 1970"
-)
 BEGIN = [("accepted", ""), ("status", "")]
 
 
@@ -80,13 +74,6 @@ class Held:
         return ActionServer(FIBONACCI, self.__call__)
 
 
-@asynccontextmanager
-async def served(endpoint: Endpoint, **settings: Any) -> AsyncGenerator[str, None]:
-    with anyio.fail_after(20):
-        async with serve(endpoint, HTTP, **settings) as (url,):
-            yield url
-
-
 async def status_of(url: str, goal_id: str) -> Any:
     return (await fetch(url, "GET", f"{GOALS}/{goal_id}")).json
 
@@ -95,7 +82,7 @@ async def status_of(url: str, goal_id: str) -> Any:
 
 
 async def test_actions_are_listed_and_described() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         (listed,) = (await fetch(url, "GET", "/actions")).json
         assert (listed["name"], set(listed)) == (
             "fibonacci",
@@ -164,7 +151,7 @@ async def test_a_wait_that_is_over_answers_with_what_is_known() -> None:
 
 
 async def test_a_goal_that_is_put_runs_once() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         first = await fetch(url, "PUT", f"{GOALS}/{ID}?wait=10", {"order": 3})
         again = await fetch(url, "PUT", f"{GOALS}/{ID}?wait=10", {"order": 3})
         assert (first.status, again.status) == (201, 200)
@@ -175,7 +162,7 @@ async def test_a_goal_that_is_put_runs_once() -> None:
 
 
 async def test_a_goal_is_streamed_from_its_beginning_to_its_end() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         answer = await fetch(url, "POST", GOALS, {"order": 3}, accept=EVENTS)
         assert answer.status == 201
         assert answer.headers["content-type"] == EVENTS
@@ -224,10 +211,8 @@ async def test_a_plain_request_that_is_cut_leaves_its_goal(query: str) -> None:
 
 
 async def test_who_may_not_see_goals_chooses_none_to_cancel() -> None:
-    def observes_not(peer: Peer, action: str, permission: Permission) -> bool:
-        return permission is not Permission.OBSERVE
-
-    async with served(Held().server, authorize=observes_not) as url:
+    others = {*Permission} - {Permission.OBSERVE}
+    async with served(Held().server, authorize=permitting(others)) as url:
         await fetch(url, "POST", f"{GOALS}?label=order=17", {"order": 0})
         chosen = await fetch(url, "DELETE", f"{GOALS}?label=order=17")
         of_all = await fetch(url, "DELETE", GOALS)
@@ -235,11 +220,8 @@ async def test_who_may_not_see_goals_chooses_none_to_cancel() -> None:
 
 
 async def test_a_cut_of_one_who_may_not_cancel_is_logged(log: Hearing) -> None:
-    def sends_only(peer: Peer, action: str, permission: Permission) -> bool:
-        return permission is not Permission.CANCEL
-
-    held = Held()
-    async with served(held.server, authorize=sends_only) as url:
+    held, others = Held(), {*Permission} - {Permission.CANCEL}
+    async with served(held.server, authorize=permitting(others)) as url:
         async with client_of(url) as client:
             await client.ask("PUT", f"{GOALS}/{ID}", {"order": 1}, accept=EVENTS)
             await client.until("id: 1")
@@ -482,7 +464,7 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         return peer.name == "cook" and permission is Permission.SEND
 
     tokens = {"a": "cook", "b": "guest"}
-    async with served(new_server(), tokens=tokens, authorize=cook_sends) as url:
+    async with served(tokens=tokens, authorize=cook_sends) as url:
         cook, guest = {"authorization": "bearer a"}, {"authorization": "bearer b"}
         where = f"{GOALS}/{ID}"
         assert (await fetch(url, "PUT", where, {"order": 1}, **guest)).status == 403
@@ -523,16 +505,12 @@ async def test_permissions_are_those_of_the_token(log: Hearing) -> None:
         ("POST", f"{GOALS}?wait=1e9", b'{"order": 3}', {}, 400),
         ("POST", f"{GOALS}?wait=1_0", b'{"order": 3}', {}, 400),
         ("POST", "/actions/no/goals", b'{"order": 3}', {}, 404),
-        ("GET", "/../actions", None, {}, 404),
         ("GET", "/actions/%2e%2e/%2e%2e/etc", None, {}, 404),
-        ("GET", f"{GOALS}/x", None, {}, 400),
-        ("DELETE", f"{GOALS}/{'0' * 32}", None, {}, 400),
         ("DELETE", f"{GOALS}?before=now", None, {}, 400),
         ("DELETE", f"{GOALS}?before=0", None, {}, 400),
         ("DELETE", f"{GOALS}?before=", None, {}, 400),
         ("DELETE", f"{GOALS}?label=", None, {}, 400),
         ("DELETE", f"{GOALS}?client=", None, {}, 400),
-        ("GET", f"{GOALS}?parent=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?after=x", None, {}, 400),
         ("GET", f"{GOALS}/{ID}/events?times=", None, {}, 400),
@@ -674,7 +652,7 @@ async def test_a_gateway_shows_a_goal_only_to_those_who_may_observe() -> None:
 
 async def test_pages_that_are_named_get_the_headers_of_cors() -> None:
     origin = "https://console.example"
-    async with served(new_server(), origins=[origin]) as url:
+    async with served(origins=[origin]) as url:
         answer = await fetch(url, "GET", "/actions", origin=origin)
         assert answer.headers["access-control-allow-origin"] == origin
         asked = await fetch(url, "OPTIONS", GOALS, origin=origin)
@@ -746,36 +724,6 @@ async def test_one_goal_is_told_with_what_a_list_tells_of_it(tmp_path: Path) -> 
     assert told.items() < past.json.items()
 
 
-async def test_goals_are_chosen_by_status_client_and_time_on_every_page() -> None:
-    server = ActionServer(FIBONACCI, fibonacci, result_timeout=3600)
-    async with served(server) as url:
-        for _ in range(3):
-            await fetch(url, "POST", f"{GOALS}?wait=60", {"order": 1})
-        stamps = [goal["stamp"] for goal in (await fetch(url, "GET", GOALS)).json]
-
-        async def found(query: str) -> list[str]:
-            """Return the stamps of all pages."""
-            listed: list[str] = []
-            while query:
-                page = await fetch(url, "GET", f"{GOALS}{query}")
-                assert page.status == 200, page.body
-                listed += [goal["stamp"] for goal in page.json]
-                link = re.fullmatch(r'<(\?limit=1&\S+)>; rel="next"', page.headers.get("link", ""))
-                query = link[1] if link else ""
-            return listed
-
-        ended = "?limit=1&status=SUCCEEDED&status=ABORTED"
-        assert await found(ended) == stamps
-        assert await found("?limit=1&status=active") == []
-        assert await found(f"{ended}&client=127.0.0.1") == stamps
-        assert await found(f"{ended}&client=a%20robot") == []
-        assert await found(f"{ended}&since=1h&until={stamps[1]}") == stamps[:2]
-        assert await found(f"{ended}&since=2026-01-31T12:00:00Z") == stamps
-        assert await found(f"{ended}&until=2026-01-31T12:00:00%2B01:00") == []
-        wrong = await fetch(url, "GET", f"{GOALS}?since=yesterday")
-        assert (wrong.status, wrong.json["detail"]) == (400, WRONG_TIME)
-
-
 async def test_a_child_has_its_parent_wherever_it_is_described() -> None:
     parent, meta = GoalID.random(), {"step": "pick"}
     told = {"goal_id": str(parent), "step": "pick"}
@@ -821,7 +769,7 @@ async def test_head_is_get_without_a_body_and_options_tells_the_methods() -> Non
 
 
 async def test_one_cause_has_one_type_of_problem() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         unknown = f"{GOALS}/{'e' * 32}"
         types = {(await fetch(url, method, unknown)).json["type"] for method in ("GET", "DELETE")}
     assert types == {"urn:fibaction:UnknownGoal"}
@@ -845,7 +793,7 @@ async def test_a_key_is_of_one_client_and_its_goal_tells_nothing_of_the_token() 
     tokens = {"a": "cook", "b": "cook", "c": "guest"}
     ids: list[str] = []
     for _ in range(2):  # two servers
-        async with served(new_server(), tokens=tokens) as url:
+        async with served(tokens=tokens) as url:
             for token in tokens:
                 head = {"idempotency-key": "17", "authorization": f"Bearer {token}"}
                 posted = await fetch(url, "POST", GOALS, {"order": 1}, **head)
@@ -857,7 +805,7 @@ async def test_a_key_is_of_one_client_and_its_goal_tells_nothing_of_the_token() 
 
 
 async def test_a_body_that_is_compressed_is_refused_with_the_coding_that_is_taken() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         packed = await fetch(url, "POST", GOALS, {"order": 1}, content_encoding="gzip")
         assert (packed.status, packed.headers["accept-encoding"]) == (415, "identity")
         plain = await fetch(url, "POST", GOALS, {"order": 1}, content_encoding="identity")
@@ -867,14 +815,14 @@ async def test_a_body_that_is_compressed_is_refused_with_the_coding_that_is_take
 @pytest.mark.parametrize("method", ["GET", "POST", "DELETE"])
 async def test_more_labels_than_a_goal_can_have_are_refused(method: str) -> None:
     labels = "&".join(f"label=k{number}=1" for number in range(9))
-    async with served(new_server()) as url:
+    async with served() as url:
         answer = await fetch(url, method, f"{GOALS}?{labels}", {"order": 1})
     assert answer.status == 400
     assert answer.json["detail"] == "label is there 9 times, and 8 are the limit"
 
 
 async def test_a_preference_to_wait_is_that_of_the_parameter() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         answer = await fetch(url, "POST", GOALS, {"order": 1}, prefer="respond-async, wait=20")
         assert answer.json["result"] == {"sequence": [0, 1]}
         assert answer.headers["preference-applied"] == "wait=20"
@@ -883,7 +831,7 @@ async def test_a_preference_to_wait_is_that_of_the_parameter() -> None:
 
 
 async def test_a_description_that_is_known_is_not_sent_again() -> None:
-    async with served(new_server()) as url:
+    async with served() as url:
         first = await fetch(url, "GET", "/openapi.json", accept_encoding="gzip")
         tag = first.headers["etag"]
         known = await fetch(url, "GET", "/openapi.json", if_none_match=tag)
@@ -893,3 +841,77 @@ async def test_a_description_that_is_known_is_not_sent_again() -> None:
         assert (await fetch(url, "GET", "/openapi.json", if_none_match="*")).status == 304
         assert first.headers["content-encoding"] == "gzip"
         assert len(first.body) < 5000
+
+
+# What was logged, and what was given up
+
+
+GOAL_ID, OLD_ID, NEW_ID = (GoalID.random() for _ in range(3))
+
+
+class Logging(ForwardingEndpoint):
+    """A server with the lines of one goal."""
+
+    async def log_lines(self, goal_id: GoalID) -> list[LogLine] | None:
+        return [LogLine(7, "INFO", "arm", "grips")] if goal_id == GOAL_ID else None
+
+
+async def test_the_lines_of_a_goal_are_told_to_those_who_may_observe() -> None:
+    may = {Permission.OBSERVE}
+
+    async with served(Logging(new_server()), authorize=permitting(may)) as url:
+        told = await fetch(url, "GET", f"{GOALS}/{GOAL_ID}/log")
+        line = {"at": "7", "level": "INFO", "logger": "arm", "text": "grips"}
+        assert (told.status, told.json) == (200, {"lines": [line]})
+        none = await fetch(url, "GET", f"{GOALS}/{GoalID.random()}/log")
+        assert (none.status, none.json) == (200, {"lines": None})
+        may.clear()
+        assert (await fetch(url, "GET", f"{GOALS}/{GOAL_ID}/log")).status == 403
+
+
+class Again(ForwardingEndpoint):
+    """A server that has given up one goal."""
+
+    async def rerun(self, goal_id: GoalID) -> GoalID | None:
+        return NEW_ID if goal_id == OLD_ID else None
+
+
+async def test_an_operator_gets_the_id_of_the_new_goal_if_the_old_one_was_given_up() -> None:
+    may = {Permission.OBSERVE}
+
+    async with served(Again(new_server()), authorize=permitting(may)) as url:
+        assert (await fetch(url, "POST", f"{GOALS}/{OLD_ID}/rerun")).status == 403
+        may.add(Permission.OPERATE)
+        answer = await fetch(url, "POST", f"{GOALS}/{OLD_ID}/rerun")
+        assert (answer.status, answer.json) == (201, {"goal_id": str(NEW_ID)})
+        assert answer.headers["location"].endswith(f"{GOALS}/{NEW_ID}")
+        again = await fetch(url, "POST", f"{GOALS}/{NEW_ID}/rerun")
+        assert (again.status, "was not given up" in again.json["detail"]) == (409, True)
+
+
+class GivenUp(ForwardingEndpoint):
+    """A server that has given up each of its goals at a checkpoint."""
+
+    checkpoint = b""
+
+    async def feedback(self, *arguments: Any, **more: Any) -> GoalStream:
+        stream: Any = await super().feedback(*arguments, **more)
+        stream.checkpoint = self.checkpoint
+        return cast("GoalStream", stream)
+
+
+async def test_the_details_of_a_goal_that_was_given_up_have_its_checkpoint_for_observers() -> None:
+    may = {Permission.SEND, Permission.OBSERVE}
+
+    robot = GivenUp(new_server())
+    tokens = {"secret": "ann"}
+    async with served(robot, authorize=permitting(may), tokens=tokens) as url:
+        ann = {"Authorization": "Bearer secret"}
+        sent = await fetch(url, "POST", f"{GOALS}?wait=9", {"order": 2}, **ann)
+        path = f"{GOALS}/{sent.json['goal_id']}"
+        assert "checkpoint" not in sent.json
+        for robot.checkpoint, told in ((b"", None), (b"\x04", 4), (b"\xc1", None)):
+            assert (await fetch(url, "GET", path, **ann)).json["checkpoint"] == told
+        may.remove(Permission.OBSERVE)
+        own = await fetch(url, "GET", path, **ann)
+        assert (own.status, "checkpoint" in own.json) == (200, False)

@@ -182,6 +182,13 @@ def watching(partner: Partner, topic: str = FEEDBACK, *known: GoalStatus) -> int
     return watch.id
 
 
+def followed(partner: Partner, watch: int, goal_id: bytes = GOAL) -> Follow:
+    """Tell of a goal that runs, and return the request that follows it."""
+    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING, goal_id))
+    assert isinstance(follow, Follow)
+    return follow
+
+
 PAYLOAD = msgspec.msgpack.encode({"partial_sequence": [1]})
 
 
@@ -258,8 +265,7 @@ def test_feedback_that_is_wanted_later_comes_from_then_on() -> None:
 def test_the_last_subscription_ends_the_requests() -> None:
     partner = Partner()
     watch = watching(partner, FEEDBACK)
-    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING))
-    assert isinstance(follow, Follow)
+    follow = followed(partner, watch)
     assert partner.subscribe(STATUS, id="s") == []
     assert partner.unsubscribe("/else/_action/status") == []
     assert partner.unsubscribe("/chatter") == []
@@ -277,13 +283,11 @@ def test_the_last_subscription_ends_the_requests() -> None:
 def test_goals_are_followed_up_to_a_number() -> None:
     partner = Partner(most_goals=1)
     watch = watching(partner, FEEDBACK)
-    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING))
-    assert isinstance(follow, Follow)
+    follow = followed(partner, watch)
     assert partner.say(changed(watch, GoalStatus.EXECUTING, OTHER)) == []
     assert partner.notes == ["it follows 1 goals of the action 'fibonacci', and no more"]
     partner.say(Ended(follow.id, GoalStatus.SUCCEEDED, None, "", 1))
-    (next_one,) = partner.say(changed(watch, GoalStatus.EXECUTING, b"n" * 16))
-    assert isinstance(next_one, Follow)
+    followed(partner, watch, b"n" * 16)
 
 
 def test_an_action_that_is_not_served_yet_is_waited_for() -> None:
@@ -299,7 +303,7 @@ def test_a_server_whose_statuses_end_is_asked_again(how: str) -> None:
     partner = Partner()
     watch = watching(partner, STATUS)
     assert partner.subscribe(FEEDBACK) == []
-    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING))
+    follow = followed(partner, watch)
     partner.taken()
     lost = Failed(watch, Why.CONNECTION_LOST, "it is gone")
     assert partner.say(Finished(watch) if how == "finished" else lost) == []
@@ -316,7 +320,6 @@ def test_a_server_whose_statuses_end_is_asked_again(how: str) -> None:
     assert partner.say(changed(again.id, GoalStatus.EXECUTING)) == []  # it is followed already
     (message,) = partner.taken()
     assert list(statuses_in(message).values()) == [2]
-    assert isinstance(follow, Follow)
     assert partner.hear(Feedback(follow.id, 1, PAYLOAD)) == [feedback(GOAL, 1)]
 
 
@@ -350,8 +353,7 @@ def test_credit_is_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(topics, "CREDIT", 2)
     partner = Partner()
     watch = watching(partner, FEEDBACK)
-    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING))
-    assert isinstance(follow, Follow)
+    follow = followed(partner, watch)
     assert partner.say(changed(watch, GoalStatus.CANCELING)) == [Credit(watch, 2)]
     partner.hear(Feedback(follow.id, 1, PAYLOAD))
     partner.hear(Feedback(follow.id, 2, PAYLOAD))
@@ -362,7 +364,6 @@ def test_credit_is_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_feedback_that_json_cannot_express_is_left_out() -> None:
     partner = Partner()
     watch = watching(partner, FEEDBACK)
-    (follow,) = partner.say(changed(watch, GoalStatus.EXECUTING))
-    assert isinstance(follow, Follow)
+    follow = followed(partner, watch)
     assert partner.hear(Feedback(follow.id, 1, b"\xc1")) == []
     assert "feedback of the action 'fibonacci' is left out" in partner.notes[0]

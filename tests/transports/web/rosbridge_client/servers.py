@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 from contextlib import aclosing, asynccontextmanager, suppress
 from typing import Any, TypeAlias
 
@@ -37,6 +37,8 @@ REJECTED = "Action goal was rejected"
 NO_SERVER = "No action server available"
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
 SHOW = "camera_msgs/action/Show"
+NO_ANSWER = object()
+"""The values of a service that does not answer."""
 
 
 class Peer:
@@ -216,6 +218,8 @@ class RosbridgeServer(SilentServer):
     has_rosapi = True
     describes_types = True
     """False for servers before 2025, whose rosapi tells no details of actions."""
+    answers: Mapping[str, Any] = {}
+    """Other values for services, by their names; a text for a call that fails."""
 
     def __init__(self, url: str) -> None:
         super().__init__(url)
@@ -307,6 +311,11 @@ class RosbridgeServer(SilentServer):
         is_there = values is not None and (self.has_rosapi or "rosapi" not in service)
         if not is_there:
             values = f"Service {service} does not exist"
+        if service in self.answers:
+            values = self.answers[service]
+            is_there = not isinstance(values, str)
+        if values is NO_ANSWER:
+            return
         await self.send(
             peer, {"op": "service_response", "values": values, "result": is_there}, message
         )

@@ -40,8 +40,8 @@ from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.matching import End
 from tests.transports.hearing import Hearing
 from tests.transports.web.rosbridge_client.servers import (
+    NO_ANSWER,
     Peer,
-    RosbridgeServer,
     SilentServer,
     serving,
 )
@@ -466,15 +466,8 @@ async def test_types_are_asked_for_once_in_a_connection() -> None:
 async def test_a_message_that_rosapi_does_not_describe_has_no_schema(
     part: str, answer: Any
 ) -> None:
-    class Forgetful(RosbridgeServer):
-        async def handle(self, peer: Peer, message: Any) -> None:
-            if message.get("service") != f"/rosapi/action_{part}_details":
-                return await super().handle(peer, message)
-            is_there = not isinstance(answer, str)
-            values = {"op": "service_response", "values": answer, "result": is_there}
-            return await self.send(peer, values, message)
-
-    async with serving(Forgetful) as server, connect(server.url) as connection:
+    answers = {f"/rosapi/action_{part}_details": answer}
+    async with serving(answers=answers) as server, connect(server.url) as connection:
         info, *_ = await connection.actions()
         schemas = {"goal": info.goal, "feedback": info.feedback, "result": info.result}
         assert [name for name, found in schemas.items() if not found] == [part]
@@ -489,12 +482,8 @@ async def test_a_rosapi_that_knows_no_types_leaves_the_actions_without_schemas()
 
 
 async def test_a_rosapi_that_ends_while_it_is_asked_is_not_waited_for_again() -> None:
-    class Ending(RosbridgeServer):
-        async def handle(self, peer: Peer, message: Any) -> None:
-            if message.get("service") != "/rosapi/action_goal_details":
-                await super().handle(peer, message)
-
-    async with serving(Ending) as server:
+    answers = {"/rosapi/action_goal_details": NO_ANSWER}
+    async with serving(answers=answers) as server:
         async with connect(server.url, answer_timeout=0.5) as connection:
             infos = await connection.actions()
             assert [info.goal for info in infos] == [{}, {}, {}]
@@ -505,15 +494,8 @@ async def test_a_rosapi_that_ends_while_it_is_asked_is_not_waited_for_again() ->
 
 
 async def test_rosapi_is_not_asked_for_a_type_that_it_does_not_know() -> None:
-    class Elsewhere(RosbridgeServer):
-        async def handle(self, peer: Peer, message: Any) -> None:
-            if message.get("service") != "/rosapi/interfaces":
-                return await super().handle(peer, message)
-            values = {"interfaces": [FIBONACCI.type_name]}
-            answer = {"op": "service_response", "values": values, "result": True}
-            return await self.send(peer, answer, message)
-
-    async with serving(Elsewhere) as server, connect(server.url) as connection:
+    answers = {"/rosapi/interfaces": {"interfaces": [FIBONACCI.type_name]}}
+    async with serving(answers=answers) as server, connect(server.url) as connection:
         infos = await connection.actions()
         assert [bool(info.goal) for info in infos] == [True, False, False]
         peer = await server.peer()
@@ -597,11 +579,8 @@ async def test_a_call_that_fails_says_why(
 
 @pytest.mark.parametrize("values", [None, {}, {"return_code": 9}, {"return_code": 0}])
 async def test_an_answer_to_a_cancel_that_is_not_one_is_an_error(values: Any) -> None:
-    class Answering(SilentServer):
-        async def handle(self, peer: Peer, message: Any) -> None:
-            await peer.say(op="service_response", id=message["id"], values=values, result=True)
-
-    async with robot(Answering) as (_, client):
+    answers = {"/fibonacci/_action/cancel_goal": values}
+    async with robot(answers=answers) as (_, client):
         with pytest.raises(ProtocolError, match="invalid answer to a cancel"):
             await client.cancel_goals()
 

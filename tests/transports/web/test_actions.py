@@ -1,23 +1,37 @@
-"""`.../intake`: how an action takes goals, told and changed by REST."""
+"""Actions by REST: how they take goals, told and changed, and their statistics."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
 
-from fibaction import Peer, Permission, ServerNotFound, connect, serve
+from fibaction import (
+    ActionServer,
+    GoalHistory,
+    Permission,
+    ServerNotFound,
+    SqliteStore,
+    connect,
+    serve,
+)
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, Intake, IntakeChange
 from fibaction.border.http_access import Refused
+from fibaction.words.goal_query import GoalQuery
+from fibaction.words.goals import GoalInfo
 from fibaction.words.intake import NO_LEVERS
-from fibaction_transports.web.rest.actions import wanted_in
-from tests.support.fibonacci import FIBONACCI
+from fibaction_transports.web.rest import actions
+from fibaction_transports.web.rest.actions import KnownStatistics, wanted_in
+from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.transports.tcp.servers import new_server
-from tests.transports.web.http_client import fetch
+from tests.transports.web.http_client import HTTP, fetch, permitting, served
 
 pytestmark = pytest.mark.anyio
 
 ACTION = "/actions/fibonacci"
-HTTP = "http://127.0.0.1:0"
 
 
 async def test_an_action_is_paused_and_resumed_and_its_list_tells_it_also_at_a_bridge() -> None:
@@ -51,10 +65,7 @@ async def test_an_action_is_paused_and_resumed_and_its_list_tells_it_also_at_a_b
 
 
 async def test_who_may_not_operate_is_refused() -> None:
-    def authorize(_peer: Peer, _action: str, permission: Permission) -> bool:
-        return permission is Permission.OBSERVE
-
-    async with serve(new_server(), HTTP, authorize=authorize) as (url,):
+    async with served(authorize=permitting([Permission.OBSERVE])) as url:
         answer = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
         assert answer.status == 403
         told = (await fetch(url, "GET", f"{ACTION}/intake")).json
@@ -72,7 +83,7 @@ async def test_a_server_that_is_away_is_not_a_lever_that_is_missing() -> None:
         async def change_intake(self, change: IntakeChange) -> Intake:
             raise ServerNotFound("no answer")
 
-    async with new_server() as server, serve(Away(server), HTTP) as (url,):
+    async with new_server() as server, served(Away(server)) as url:
         answer = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
         assert (answer.status, answer.headers["retry-after"]) == (503, "1")
 
@@ -80,10 +91,7 @@ async def test_a_server_that_is_away_is_not_a_lever_that_is_missing() -> None:
 async def test_only_who_may_observe_learns_who_has_paused_an_action_and_its_schedule() -> None:
     may = {Permission.OBSERVE, Permission.OPERATE}
 
-    def authorize(_peer: Peer, _action: str, permission: Permission) -> bool:
-        return permission in may
-
-    async with serve(new_server(), HTTP, authorize=authorize) as (url,):
+    async with served(authorize=permitting(may)) as url:
         await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold", "reason": "wet floor"})
         [seen] = (await fetch(url, "GET", "/actions")).json
         assert " by 127.0.0.1:" in seen["intake"]["text"]
@@ -102,7 +110,7 @@ async def test_an_action_that_cannot_be_paused_says_so_in_its_list_and_refuses_t
         intake = Endpoint.intake
         change_intake = Endpoint.change_intake
 
-    async with new_server() as server, serve(Fixed(server), HTTP) as (url,):
+    async with new_server() as server, served(Fixed(server)) as url:
         [listed] = (await fetch(url, "GET", "/actions")).json
         assert listed["no_levers"] == NO_LEVERS
         refused = await fetch(url, "PUT", f"{ACTION}/intake", {"mode": "hold"})
@@ -115,7 +123,66 @@ async def test_an_action_that_does_not_tell_how_it_takes_goals_is_listed_all_the
         async def intake(self) -> Intake:
             raise ServerNotFound("no answer")
 
-    async with new_server() as server, serve(Silent(server), HTTP) as (url,):
+    async with new_server() as server, served(Silent(server)) as url:
         [listed] = (await fetch(url, "GET", "/actions")).json
         assert listed["name"] == "fibonacci"
         assert not listed.keys() & {"away", "intake", "no_levers", "schedule"}
+
+
+async def test_an_action_has_statistics_of_ten_minutes_and_of_a_span_that_the_request_names(
+    tmp_path: Path,
+) -> None:
+    store = SqliteStore(tmp_path / "goals.db", history=GoalHistory())
+    server = ActionServer(FIBONACCI, fibonacci, store=store, result_timeout=0)
+    async with served(server) as url:
+        for order in (3, 5):
+            await fetch(url, "POST", f"{ACTION}/goals?wait=20", {"order": order})
+        day = (await fetch(url, "GET", f"{ACTION}/stats")).json
+        hour = (await fetch(url, "GET", f"{ACTION}/stats?since=1h")).json
+        wrong = await fetch(url, "GET", f"{ACTION}/stats?since=soon")
+        assert (await fetch(url, "GET", f"{ACTION}/stats?since=")).status == 400
+        other = await fetch(url, "GET", "/actions/other/stats")
+        posted = await fetch(url, "POST", f"{ACTION}/stats")
+    assert (day["waiting"], day["running"], day["past"]) == (0, 0, 2)
+    assert day["whole"]["seconds"] == pytest.approx(86400, abs=1)
+    assert hour["whole"]["seconds"] == pytest.approx(3600, abs=1)
+    for span in (day["recent"], day["whole"], hour["whole"]):
+        assert span["accepted"] == span["ended"]["SUCCEEDED"] == span["ran"]["count"] == 2
+    assert (wrong.status, other.status, posted.status) == (400, 404, 405)
+    assert wrong.json["detail"].startswith("since: 'soon' is not a time")
+
+
+class Counted(ForwardingEndpoint):
+    """A server whose history takes some time to read."""
+
+    def __init__(self, inner: Endpoint) -> None:
+        super().__init__(inner)
+        self.read = 0
+
+    async def read_past(self, wanted: GoalQuery, take: Callable[[list[GoalInfo]], None]) -> None:
+        self.read += 1
+        await anyio.lowlevel.checkpoint()
+
+
+async def test_many_who_ask_at_once_get_one_computation(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [100.0]
+    monkeypatch.setattr(actions, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(actions, "MOST_KNOWN", 2)
+    async with ActionServer(FIBONACCI, fibonacci) as server:
+        counted = Counted(server)
+        known = KnownStatistics()
+        told: list[Any] = []
+
+        async def ask(since: str = "24h") -> None:
+            told.append(await known.of(counted, since))
+
+        async with anyio.create_task_group() as tasks:
+            for _ in range(10):
+                tasks.start_soon(ask)
+        assert (counted.read, len(set(told))) == (1, 1)
+        clock[0] += 2
+        await ask()
+        assert counted.read == 2
+        for since in ("1h", "2h", "24h"):  # the last one was forgotten meanwhile
+            await ask(since)
+        assert counted.read == 5
