@@ -18,8 +18,11 @@ from fibaction_transports.keywords import (
     AgentHttpKeywords,
     AgentPolicyKeywords,
     ClientKeywords,
+    DdsKeywords,
+    RosbridgeKeywords,
     RosKeywords,
     WireKeywords,
+    ZenohKeywords,
 )
 from fibaction_transports.mcp import McpHttpTransport, McpStdioTransport
 from fibaction_transports.nats import NatsTransport
@@ -39,158 +42,6 @@ TLS = TlsFiles(ca="a.pem")
 
 async def authorize(peer: Peer, action: str, permission: Permission) -> bool:
     return True
-
-
-def settings_of_a_client() -> None:
-    connect(
-        "tcp://robot",
-        COUNT,
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        reconnect=False,
-        reconnect_timeout=5,
-        tls=TLS,
-    )
-    connect("inproc://robot", COUNT, reconnect_timeout=5)
-    connect(
-        "ros2://",
-        namespace="/robot",
-        domain_id=7,
-        arguments=["--ros-args"],
-        node=object(),
-        via="dds",
-        feedback_depth=10,
-        discovery_timeout=1.5,
-        lease=1,
-        reconnect=True,
-        reconnect_timeout=5,
-        services_qos="reliable",
-        feedback_qos="best_effort",
-        status_qos="volatile",
-        introspection="metadata",
-    )
-    connect(
-        "dds://",
-        search=["interfaces"],
-        discovery="LOCALHOST",
-        peers=["robot"],
-        network=["10.0.0.2"],
-        ip_versions=(4, 6),
-        fragment_size=1400,
-    )
-    connect(
-        "zenoh://robot",
-        locators=["tcp/robot:7447"],
-        mode="client",
-        config="transport/link/tx/lease=2000",
-        type_hashes=True,
-        search=["interfaces"],
-    )
-    connect(
-        "nats://broker/fleet",
-        worker="robot7",
-        lease=10,
-        user="me",
-        password="secret",
-        login_token="",
-        creds="me.creds",
-    )
-    connect(
-        "rosbridge://robot",
-        accepted_after=1,
-        answer_timeout=5,
-        schemas=False,
-        cancel_on_disconnect=True,
-    )
-    blocking.connect("nats://broker/fleet", COUNT, user="me", password="secret")
-    connect("tcp://robot", COUNT, hartbeat=2)  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
-    connect("tcp://robot", heartbeat="2")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType, reportCallIssue]
-    connect("tcp://robot", tokens={})  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
-
-
-async def settings_of_a_call() -> None:
-    await call("nats://broker/fleet", COUNT, 3, lease=10, creds="me.creds")
-
-
-def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
-    serve(
-        server,
-        "https://robot",
-        tokens={"secret": "ann"},
-        authorize=authorize,
-        heartbeat=2,
-        limits=LIMITS,
-        orphans="cancel",
-        grace=5,
-        tls=TLS,
-        insecure=True,
-        hosts=["robot"],
-        origins=["https://page"],
-        console=False,
-        metrics=Metrics(),
-        recording="a.mcap",
-        sources=None,
-    )
-    serve(
-        server,
-        "ros2://",
-        namespace="/robot",
-        domain_id=7,
-        arguments=["--ros-args"],
-        node=object(),
-        via="rclpy",
-        feedback_depth=10,
-        lease=1,
-        services_qos="reliable",
-        feedback_qos="best_effort",
-        status_qos="volatile",
-        introspection="contents",
-    )
-    serve(
-        server,
-        "dds://",
-        search=["interfaces"],
-        discovery="OFF",
-        peers=["robot"],
-        network=["10.0.0.2"],
-        ip_versions=(4,),
-        fragment_size=1400,
-    )
-    serve(
-        server,
-        "zenoh://robot",
-        locators=["tcp/robot:7447"],
-        mode="peer",
-        config="",
-        type_hashes=True,
-    )
-    serve(
-        server,
-        "nats://broker/fleet",
-        worker="robot7",
-        lease=10,
-        replicas=3,
-        history_days=7,
-        history_goals=None,
-        user="me",
-        password="secret",
-        login_token="",
-        creds="me.creds",
-    )
-    serve(
-        server,
-        "mcp+http://",
-        token="secret",
-        allow=["count"],
-        unasked=["count"],
-        read_only=False,
-        patience=20,
-    )
-    blocking.serve(server, "nats://broker/fleet", replicas=1).forever()
-    serve(server, "tcp://robot", grase=1)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
-    serve(server, "tcp://robot", orphans="kill")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
 
 
 CLIENT: ClientKeywords = {
@@ -222,6 +73,34 @@ ROS: RosKeywords = {
     "status_qos": "",
     "introspection": "off",
 }
+DDS: DdsKeywords = {
+    **ROS,
+    "search": ["interfaces"],
+    "discovery": "LOCALHOST",
+    "peers": ["robot"],
+    "network": ["10.0.0.2"],
+    "ip_versions": (4, 6),
+    "fragment_size": 1400,
+}
+ZENOH: ZenohKeywords = {
+    **ROS,
+    "locators": ["tcp/robot:7447"],
+    "mode": "client",
+    "config": "transport/link/tx/lease=2000",
+    "type_hashes": True,
+    "search": ["interfaces"],
+}
+ROSBRIDGE: RosbridgeKeywords = {
+    "token": "secret",
+    "heartbeat": 2,
+    "window": 16,
+    "limits": LIMITS,
+    "tls": None,
+    "accepted_after": 1,
+    "answer_timeout": 5,
+    "schemas": False,
+    "cancel_on_disconnect": True,
+}
 AGENTS: AgentPolicyKeywords = {
     "allow": ["count"],
     "unasked": ["count"],
@@ -238,6 +117,88 @@ AGENTS_OVER_HTTP: AgentHttpKeywords = {
     "hosts": [],
     "origins": [],
 }
+
+
+def settings_of_a_client() -> None:
+    connect("tcp://robot", COUNT, **CLIENT, tls=TLS)
+    connect("inproc://robot", COUNT, reconnect_timeout=5)
+    connect("ros2://", **ROS, node=object(), via="dds")
+    connect("dds://", **DDS)
+    connect("zenoh://robot", **ZENOH)
+    connect("rosbridge://robot", **ROSBRIDGE)
+    connect(
+        "nats://broker/fleet",
+        worker="robot7",
+        lease=10,
+        user="me",
+        password="secret",
+        login_token="",
+        creds="me.creds",
+    )
+    blocking.connect("nats://broker/fleet", COUNT, user="me", password="secret")
+    connect("tcp://robot", COUNT, hartbeat=2)  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
+    connect("tcp://robot", heartbeat="2")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType, reportCallIssue]
+    connect("tcp://robot", tokens={})  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
+
+
+async def settings_of_a_call() -> None:
+    await call("nats://broker/fleet", COUNT, 3, lease=10, creds="me.creds")
+
+
+def settings_of_a_server(server: ActionServer[Any, Any, Any]) -> None:
+    serve(
+        server,
+        "https://robot",
+        **AGENTS_OVER_HTTP,
+        authorize=authorize,
+        heartbeat=2,
+        orphans="cancel",
+        grace=5,
+        console=False,
+        metrics=Metrics(),
+        recording="a.mcap",
+        sources=None,
+    )
+    serve(
+        server,
+        "ros2://",
+        namespace="/robot",
+        domain_id=7,
+        arguments=["--ros-args"],
+        node=object(),
+        via="rclpy",
+        feedback_depth=10,
+        lease=1,
+        services_qos="reliable",
+        feedback_qos="best_effort",
+        status_qos="volatile",
+        introspection="contents",
+        search=["interfaces"],
+        discovery="OFF",
+        peers=["robot"],
+        network=["10.0.0.2"],
+        ip_versions=(4,),
+        fragment_size=1400,
+        locators=["tcp/robot:7447"],
+        mode="peer",
+        config="",
+        type_hashes=True,
+    )
+    serve(
+        server,
+        "nats://broker/fleet",
+        worker="robot7",
+        replicas=3,
+        history_days=7,
+        history_goals=None,
+        user="me",
+        password="secret",
+        login_token="",
+        creds="me.creds",
+    )
+    blocking.serve(server, "nats://broker/fleet", replicas=1).forever()
+    serve(server, "tcp://robot", grase=1)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
+    serve(server, "tcp://robot", orphans="kill")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
 
 
 def settings_of_transports() -> None:
@@ -258,18 +219,7 @@ def settings_of_transports() -> None:
         sources=None,
     )
     WebTransport(**WIRE, hosts=("robot",), origins=(), console=True, metrics=None)
-    RosbridgeTransport(
-        "robot",
-        token="secret",
-        heartbeat=2,
-        window=16,
-        limits=LIMITS,
-        tls=None,
-        accepted_after=1,
-        answer_timeout=5,
-        schemas=False,
-        cancel_on_disconnect=True,
-    )
+    RosbridgeTransport("robot", **ROSBRIDGE)
     NatsTransport(
         "broker",
         **WIRE,
@@ -285,23 +235,8 @@ def settings_of_transports() -> None:
         tls=TLS,
     )
     Ros2Transport(**ROS, node=object(), via="rclpy")
-    DdsTransport(
-        **ROS,
-        search=["interfaces"],
-        discovery="SUBNET",
-        peers=[],
-        network=[],
-        ip_versions=[4],
-        fragment_size=1400,
-    )
-    ZenohTransport(
-        **ROS,
-        locators=["tcp/robot:7447"],
-        mode="client",
-        config="",
-        type_hashes=False,
-        search=["interfaces"],
-    )
+    DdsTransport(**DDS)
+    ZenohTransport(**ZENOH)
     McpStdioTransport(**AGENTS)
     McpHttpTransport(**AGENTS_OVER_HTTP)
     A2aHttpTransport(**AGENTS_OVER_HTTP)
