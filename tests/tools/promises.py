@@ -127,26 +127,17 @@ def all_proofs() -> list[Proof]:
     return proofs
 
 
-def left_out_over_ros(source: str) -> dict[str, str]:
-    """Return the tests of the contract that ROS 2 cannot keep, each with the name of the reason.
-
-    `source` is the text of tests/support/ros_contract.py, whose `EXCLUSIONS` are read.
-    """
-    for node in ast.parse(source).body:
-        match node:
-            case ast.AnnAssign(target=ast.Name("EXCLUSIONS"), value=ast.Dict(keys, values)):
-                names = [ast.literal_eval(key) for key in keys if key is not None]
-                return dict(zip(names, map(ast.unparse, values), strict=True))
-    raise ValueError("there is no EXCLUSIONS")
-
-
 # Comparing
 
 
 def faults(
     promises: list[Promise], proofs: list[Proof], left_out: Mapping[str, str]
 ) -> Iterator[str]:
-    """Yield the faults between the promises and their tests, a line for each."""
+    """Yield the faults between the promises and their tests, a line for each.
+
+    `left_out` has the tests of the contract that ROS 2 cannot keep, each with the reason, which is
+    `TYPE` if only the action of the test cannot be served.
+    """
     yield from _faults_of_names(promises)
     known = {promise.name for promise in promises}
     for proof in proofs:
