@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
+
+ROOT = Path(__file__).parents[2]
 
 PATIENCE = 30.0
 """Seconds for a whole process: many times what the slowest takes on a busy machine."""
@@ -53,3 +58,36 @@ def lines_until(pattern: str, process: subprocess.Popen[str], *, errors: bool = 
         assert line, f"it ended after {lines}"
         lines.append(line)
     return lines
+
+
+class Usage(NamedTuple):
+    """The output of a command, and what it used, with all of its threads."""
+
+    out: str
+    seconds: float
+    """Seconds of the processor."""
+    memory: int
+    """The most bytes that were resident."""
+
+
+def used_by(command: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> Usage:
+    """Run a command to its end at the root of the repository, and return what it used.
+
+    Raises:
+        RuntimeError: It failed.
+    """
+    with subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        out = process.stdout.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(map(str, command))} failed")
+    return Usage(out, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)

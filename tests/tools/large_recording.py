@@ -8,9 +8,8 @@ of the resident memory of processes that summarise it, export it, and replay its
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -19,6 +18,7 @@ import msgspec
 
 from fibaction.observe.recordings.recording_file import Record
 from tests.support.fibonacci import FIBONACCI
+from tests.support.processes import used_by
 
 FEEDBACK = 10_000
 """Feedback messages of a goal."""
@@ -38,46 +38,36 @@ anyio.run(main)
 """
 
 
+def lines_of(goal: int, begin: int) -> Iterator[Record]:
+    """Yield the lines of a goal, from its acceptance to its end."""
+    goal_id = f"{goal:032x}"
+    yield Record(begin, "accepted", "fibonacci", goal_id, "EXECUTING", data={"order": goal})
+    for number in range(1, FEEDBACK + 1):
+        data = {"partial_sequence": [number]}
+        yield Record(begin + number, "feedback", "fibonacci", goal_id, number=number, data=data)
+    end, result = begin + FEEDBACK + 1, {"sequence": [goal]}
+    yield Record(end, "end", "fibonacci", goal_id, "SUCCEEDED", data=result)
+
+
 def write_recording(path: Path, size: int) -> int:
     """Write a recording of at least so many bytes; return the number of its goals."""
-    encode, goals, time = msgspec.json.encode, 0, 0
+    encode, goals = msgspec.json.encode, 0
     with open(path, "wb") as file:
         file.write(encode(Record(0, "server", "fibonacci", info=FIBONACCI.info)) + b"\n")
         while file.tell() < size:
-            goals += 1
-            goal_id = f"{goals:032x}"
-            order = {"order": goals}
-            lines = [Record(time, "accepted", "fibonacci", goal_id, "EXECUTING", data=order)]
-            for number in range(1, FEEDBACK + 1):
-                feedback = {"partial_sequence": [number]}
-                lines.append(
-                    Record(
-                        time + number,
-                        "feedback",
-                        "fibonacci",
-                        goal_id,
-                        number=number,
-                        data=feedback,
-                    )
-                )
-            time += FEEDBACK + 1
-            result = {"sequence": [goals]}
-            lines.append(Record(time, "end", "fibonacci", goal_id, "SUCCEEDED", data=result))
+            lines = lines_of(goals + 1, goals * (FEEDBACK + 1))
             file.write(b"".join(encode(line) + b"\n" for line in lines))
+            goals += 1
     return goals
 
 
 def measure(what: str, *command: str) -> None:
     """Run a command, and print its time and the peak of its memory."""
     begin = perf_counter()
-    with subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        last = process.stdout.read().decode().splitlines()[-1]
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 0
+    used = used_by([sys.executable, *command])
     seconds = perf_counter() - begin
-    print(f"{what}: {seconds:.0f} s, {usage.ru_maxrss / 1024:.0f} MB; {last}", flush=True)
+    last = used.out.splitlines()[-1]
+    print(f"{what}: {seconds:.0f} s, {used.memory / 2**20:.0f} MB; {last}", flush=True)
 
 
 def main() -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -18,7 +17,8 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from tests.support.json_program import ROOT, Program, program
+from tests.support.json_program import Program, program
+from tests.support.processes import used_by
 from tests.tools.benchmarks.contender import ACTION_NAME, AT_ONCE
 
 OURS, STOCK = "fibaction", "rclpy"
@@ -195,12 +195,6 @@ def _start(one: str) -> tuple[float, float, float]:
     environ = dict(os.environ)
     environ.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled by the first start only
     begun = time()
-    process = subprocess.Popen(command, cwd=ROOT, env=environ, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    with process.stdout as out:
-        answered, size = json.loads(out.readline())
-        out.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    used = usage.ru_utime + usage.ru_stime
-    return answered - begun, used, size / 1e6
+    used = used_by(command, environ)
+    answered, size = json.loads(used.out.partition("\n")[0])
+    return answered - begun, used.seconds, size / 1e6

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from tests.support.json_program import ROOT
+from tests.support.processes import used_by
 from tests.tools.benchmarks.ways import ROS_PYTHON
 
 ROUNDS = 11
@@ -53,22 +51,6 @@ STARTS = {
 }
 
 
-def processor_seconds(command: tuple[str | Path, ...]) -> float:
-    """Return the processor seconds of a command, in all of its threads.
-
-    Raises:
-        RuntimeError: It failed.
-    """
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(map(str, command))} failed")
-    return usage.ru_utime + usage.ru_stime
-
-
 def start(without: Mapping[str, str], scale: float) -> dict[str, Any]:
     """Measure milliseconds of processor time, without a first round from a cold disk."""
     taken: dict[str, list[float]] = {
@@ -76,9 +58,9 @@ def start(without: Mapping[str, str], scale: float) -> dict[str, Any]:
     }
     for number in range(max(3, round(ROUNDS * scale)) + 1):
         for key, seconds in taken.items():
-            used = processor_seconds(STARTS[key].command)
+            used = used_by(STARTS[key].command)
             if number:
-                seconds.append(used)
+                seconds.append(used.seconds)
     ways = {
         key: {
             "label": STARTS[key].label,

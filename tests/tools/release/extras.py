@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import AsyncIterator, Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,19 +52,27 @@ def _none() -> None:
         anyio.run(_drives, ActionServer(drive), url)
 
 
+def _opens(url: str) -> None:
+    """Serve at a URL with a token."""
+
+    async def open_it() -> None:
+        async with serve(drive, f"{url}?token=secret") as (address,):
+            assert address.startswith("http://")
+
+    anyio.run(open_it)
+
+
+def _watched(name: str) -> None:
+    """Drive beside a watcher of `fibaction.observe`."""
+    watcher = getattr(import_module("fibaction.observe"), name)()
+    anyio.run(_drives, ActionServer(drive, watchers=[watcher]), "inproc://robot")
+
+
 def _program(name: str, *arguments: str) -> str:
     """Return what a program of this environment prints."""
     command = [str(Path(sys.executable).parent / name), *arguments]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=PATIENCE)
     return done.stdout
-
-
-def _a2a() -> None:
-    async def card() -> None:
-        async with serve(drive, "a2a+http://127.0.0.1:0?token=secret") as (address,):
-            assert address.startswith("http://")
-
-    anyio.run(card)
 
 
 def _broker() -> None:
@@ -84,30 +93,10 @@ def _mcap() -> None:
         assert export_mcap(recording, Path(folder) / "drives.mcap") > 0
 
 
-def _mcp() -> None:
-    async def tools() -> None:
-        async with serve(drive, "mcp+http://127.0.0.1:0?token=secret") as (address,):
-            assert address.startswith("http://")
-
-    anyio.run(tools)
-
-
-def _metrics() -> None:
-    from fibaction.observe import Metrics
-
-    anyio.run(_drives, ActionServer(drive, watchers=[Metrics()]), "inproc://robot")
-
-
 def _nats() -> None:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     assert len(Ed25519PrivateKey.generate().sign(b"nonce")) == 64
-
-
-def _otel() -> None:
-    from fibaction.observe import Tracing
-
-    anyio.run(_drives, ActionServer(drive, watchers=[Tracing()]), "inproc://robot")
 
 
 def _progress() -> None:
@@ -135,10 +124,6 @@ def _pydantic() -> None:
     anyio.run(drives)
 
 
-def _reload() -> None:
-    assert find_spec("watchfiles") is not None
-
-
 def _ros_types() -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "robot_msgs" / "action" / "GoTo.action"
@@ -148,9 +133,13 @@ def _ros_types() -> None:
         assert goal.pose.orientation.w == 1
 
 
+def _has(library: str) -> None:
+    assert find_spec(library) is not None
+
+
 def _tui() -> None:
     assert "Usage:" in _program("fibaction", "top", "--help")
-    assert find_spec("textual") is not None
+    _has("textual")
 
 
 def _uvloop() -> None:
@@ -174,17 +163,17 @@ def _zenoh() -> None:
 
 
 CHECKS: dict[str, Callable[[], None]] = {
-    "a2a": _a2a,
+    "a2a": lambda: _opens("a2a+http://127.0.0.1:0"),
     "broker": _broker,
     "cli": _cli,
     "mcap": _mcap,
-    "mcp": _mcp,
-    "metrics": _metrics,
+    "mcp": lambda: _opens("mcp+http://127.0.0.1:0"),
+    "metrics": lambda: _watched("Metrics"),
     "nats": _nats,
-    "otel": _otel,
+    "otel": lambda: _watched("Tracing"),
     "progress": _progress,
     "pydantic": _pydantic,
-    "reload": _reload,
+    "reload": lambda: _has("watchfiles"),
     "ros-types": _ros_types,
     "tui": _tui,
     "uvloop": _uvloop,
