@@ -27,7 +27,7 @@ from fibaction_transports.ros2.server.served_statuses import (
     REPEAT,
     ServedStatuses,
 )
-from fibaction_transports.ros2.without_ros.clock import OwnClock
+from fibaction_transports.ros2.without_ros.own_node import OwnClock
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

@@ -23,7 +23,6 @@ from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.clock import OwnClock
 from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     UnusableDescription,
 )
@@ -36,6 +35,7 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
     Parameter,
     ParameterValue,
 )
+from fibaction_transports.ros2.without_ros.own_node import OwnClock
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered

@@ -14,9 +14,8 @@ from anyio.abc import TaskGroup
 from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
-from fibaction_transports.ros2.on_dds import type_objects, type_questions
-from fibaction_transports.ros2.on_dds.type_objects import read_types
-from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
+from fibaction_transports.ros2.on_dds import type_questions
+from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions, read_types
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.descriptions import (
     described_types,
@@ -217,7 +216,7 @@ def test_every_kind_of_field_is_read() -> None:
     assert goal["a_wstring"] == FieldTypeDescription(17)
 
 
-def _types(key: bytes) -> list[type_objects.TypeObject]:
+def _types(key: bytes) -> list[type_questions.TypeObject]:
     return list(read_types(ANSWERS[key]).values())
 
 

@@ -1,12 +1,13 @@
-"""The beginning of a node: its settings, and the arguments of ROS on the command line."""
+"""The beginning of a node without ROS: its settings, and the arguments on the command line."""
 
 from __future__ import annotations
 
 import sys
 import uuid
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
 
-from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from fibaction_transports.ros2.without_ros.ros_arguments import (
     NameResolver,
     NodeName,
@@ -15,6 +16,28 @@ from fibaction_transports.ros2.without_ros.ros_arguments import (
     overrides_of,
     read_arguments,
 )
+
+
+class OwnNodeSettings(RosSettings, frozen=True, kw_only=True):
+    """The settings of a transport of ROS whose nodes need no ROS."""
+
+    scheme: ClassVar[str]
+    """The scheme of the transport's URLs."""
+
+    search: Sequence[str] = ()
+    """Folders with packages of interface files: `package/action/Type.action` and
+    `package/msg/Type.msg`. They are searched before those of `FIBACTION_SEARCH` and those of
+    ROS."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or a word is not one of those that are valid.
+        """
+        super().__post_init__()
+        if self.introspection != "off":
+            raise ValueError(f"introspection needs rclpy: leave it out with {self.scheme}://")
 
 
 class NodeStart(NamedTuple):

@@ -1,22 +1,23 @@
-"""A node without ROS, whatever the middleware: its name, its parameters, its log, and what it tells
-of its types.
+"""A node without ROS, whatever the middleware: its name, its parameters, its clock, its log, and
+what it tells of its types.
 """
 
 from __future__ import annotations
 
 import logging
+import struct
+import time
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.graph_view import DiscoveryState
 from fibaction_transports.ros2.node.own_parameters import DeclaredParameter
 from fibaction_transports.ros2.node.parts import EndInfo, ServiceCaller, ServiceProvider
-from fibaction_transports.ros2.node.ros_node import RosGraph, RosNode
+from fibaction_transports.ros2.node.ros_node import RosClock, RosGraph, RosNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.answers import provide
-from fibaction_transports.ros2.without_ros.clock import CLOCK_TOPIC, OwnClock
 from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
 )
@@ -35,6 +36,45 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
 )
 from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.parameters import USE_SIM_TIME, NodeParameters
+
+CLOCK_TOPIC: Final = "/clock"
+_BILLION = 10**9
+_TIME = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
+_START = 4
+
+
+class OwnClock(RosClock):
+    """The clock of a node."""
+
+    def __init__(self) -> None:
+        self.era = 0
+        self._is_simulated = False
+        self._now = 0
+
+    @property
+    def is_the_machines(self) -> bool:
+        return self.era == 0 and not self._is_simulated
+
+    def now(self) -> int:
+        return self._now if self._is_simulated else time.time_ns()
+
+    def use_simulated(self, wanted: bool) -> None:
+        """Use the time of a simulation, or that of the machine."""
+        if wanted != self._is_simulated:
+            self._is_simulated = wanted
+            self.era += 1
+
+    def take(self, message: bytes, publisher: bytes) -> None:
+        """Take a `rosgraph_msgs/msg/Clock`; it is ignored if it is not one."""
+        form = _TIME.get(message[1]) if len(message) >= _START + 8 else None
+        if form is None:
+            return
+        seconds, nanoseconds = form.unpack_from(message, _START)
+        now = seconds * _BILLION + nanoseconds
+        if now < self._now:
+            self.era += 1
+        self._now = now
+
 
 _NEWEST = EndQos(reliability="best_effort", depth=1)
 

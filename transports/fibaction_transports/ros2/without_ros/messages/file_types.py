@@ -1,25 +1,32 @@
-"""The types of actions from interface files, which need no ROS."""
+"""The types of actions, topics and services from interface files, which need no ROS."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections import OrderedDict
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
 from fibaction.interfaces import ActionFile, InterfaceError, read_action
 from fibaction.interfaces.files import (
     InterfaceMessage,
+    ServiceFile,
+    inside_out,
     known_action,
     read_message,
     read_service,
 )
 from fibaction.interfaces.packages import SearchPath, ros_folders
+from fibaction.interfaces.structs import structs_of
 from fibaction.words.errors import TransportError
+from fibaction_transports.cdr.codec import CdrCodec
 from fibaction_transports.cdr.standard_messages import STRUCTS
 from fibaction_transports.ros2.convert.conversion import (
     RosAction,
@@ -35,21 +42,60 @@ from fibaction_transports.ros2.node.ros_node import (
 from fibaction_transports.ros2.without_ros.messages.action_types import (
     PartlyKnownAction,
     action_of,
+    message_kind,
     unknown_action,
 )
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER
-from fibaction_transports.ros2.without_ros.messages.topic_types import (
-    called_type_of,
-    known_called_types,
-    known_topic_types,
-    topic_type_of,
+from fibaction_transports.ros2.without_ros.messages.node_messages import (
+    NODE_STRUCTS,
+    PARAMETER,
+    PARAMETER_EVENT,
 )
+from fibaction_transports.ros2.without_ros.messages.parameter_messages import PARAMETER_SERVICES
 
 FOLDERS: Final = "FIBACTION_SEARCH"
 """The variable of the environment with folders of packages, separated as in PATH."""
 MOST_VERSIONS: Final = 100
 """Files of one type that are read to find the version that a server has."""
+
+
+def topic_type_of(message: InterfaceMessage) -> TopicType:
+    """Return the type of a topic whose messages have this definition."""
+    structs = structs_of(inside_out(message))
+    return TopicType(_type_of(message, structs), message_kind(message, structs))
+
+
+def called_type_of(file: ServiceFile) -> CalledType:
+    """Return the type of a service with this definition."""
+    structs = structs_of(inside_out(file.request, file.response))
+    service = ServiceType(_type_of(file.request, structs), _type_of(file.response, structs))
+    request, response = (message_kind(part, structs) for part in file)
+    return CalledType(service, request, response)
+
+
+@cache
+def known_topic_types() -> dict[str, TopicType]:
+    """Return the types of topics that every node has, which need no files."""
+    kind = message_kind(PARAMETER_EVENT.definition, NODE_STRUCTS)
+    return {PARAMETER_EVENT.name: TopicType(PARAMETER_EVENT, kind)}
+
+
+@cache
+def known_called_types() -> dict[str, CalledType]:
+    """Return the types of services that every node has, which need no files."""
+    return {
+        one.name: CalledType(
+            one,
+            message_kind(one.Request.definition, NODE_STRUCTS),
+            message_kind(one.Response.definition, NODE_STRUCTS),
+        )
+        for one in PARAMETER_SERVICES
+    }
+
+
+def _type_of(message: InterfaceMessage, structs: Mapping[str, type[msgspec.Struct]]) -> MessageType:
+    codec = CdrCodec(message, structs, as_arrays=True)
+    return MessageType(message, codec, structs[message.class_name])
 
 
 class InterfaceFiles:
