@@ -34,9 +34,8 @@ from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, GoalUpdate, StatusStream
 from fibaction.border.endpoints import ForwardingEndpoint
 from fibaction.testing import ScriptedServer
-from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.support.executors import Steps
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.spans import Spans
 
 pytestmark = pytest.mark.asyncio
@@ -423,30 +422,6 @@ async def test_a_client_with_tracing_makes_a_span_for_each_goal() -> None:
             await client.call(Goal(2))
 
     assert [span.status.status_code.name for span in spans.ended] == ["UNSET", "ERROR"]
-
-
-class Parent:
-    """A goal whose executor sends others."""
-
-    goal_id = GoalID.random()
-    attempt = 1
-    is_kept = False
-
-
-@pytest.mark.anyio
-async def test_a_goal_is_sent_as_a_step_of_another() -> None:
-    step = GoalStep(GoalSteps(Parent()), "pick", wait_for_end=False)
-    async with ActionServer(FIBONACCI, fibonacci) as server:
-        client = ActionClient(server, FIBONACCI)
-        with pytest.raises(TypeError, match="give goal_id or step, not both"):
-            client.send_goal(Goal(1), goal_id=GoalID.random(), step=step)
-        assert await client.call(Goal(1), step=step) == Result([0, 1])
-        [info] = await client.goals()
-        assert info.goal_id == step.child_id("fibonacci")
-        other = GoalStep(GoalSteps(Parent()), "place", wait_for_end=False)
-        async with client.send_goal(Goal(1), step=other) as child:
-            assert child.goal_id == other.child_id("fibonacci")
-            assert await child.result() == Result([0, 1])
 
 
 async def test_the_feedback_of_a_goal_that_is_read_no_more_ends() -> None:

@@ -27,7 +27,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.wire.frames import HEADER
+from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.messages import VERSION
 
 RECORDED = Path(__file__).with_name("recorded")
@@ -79,21 +79,16 @@ async def talk(url: str) -> None:
 
 async def frames(stream: ByteStream) -> AsyncGenerator[bytes, None]:
     """Yield each frame of a stream, without its header."""
-    buffer = b""
+    reader = FrameReader()
     async for part in stream:
-        buffer += part
-        while len(buffer) >= HEADER:
-            end = HEADER + int.from_bytes(buffer[:HEADER], "big")
-            if len(buffer) < end:
-                break
-            yield buffer[HEADER:end]
-            buffer = buffer[end:]
+        for frame in reader.feed(part):
+            yield frame
 
 
 async def _pass_on(source: ByteStream, target: ByteStream, note: Callable[[bytes], None]) -> None:
     async for frame in frames(source):
         note(frame)
-        await target.send(len(frame).to_bytes(HEADER, "big") + frame)
+        await target.send(framed([frame]))
     await target.send_eof()
 
 

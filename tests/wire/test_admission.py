@@ -82,23 +82,6 @@ SESSION = bytes(range(32))
 # Sessions
 
 
-async def test_the_same_session_with_another_token_is_another_client() -> None:
-    access = WireSettings(tokens={"sesame": "ann", "open": "bob", "too": "ann"})
-    async with serving(held(), access=access) as served:
-        ann = await served.greet(SESSION, "sesame")
-        await ann.send(1)
-        bob = await served.greet(SESSION, "open")
-        for client in (ann, bob):
-            assert await client.is_served()  # neither has ended the other
-        ann.channel.cut()
-        await settled()
-        # It does not own the goal, so it follows it as an observer does.
-        await bob.ask(follow(0, request=1), Following)
-        again = await served.greet(SESSION, "too")  # another token of the same name
-        await again.ask(follow(0, request=1), Following)
-        assert await bob.is_served()
-
-
 async def test_each_client_is_told_from_the_others_by_its_owner() -> None:
     senders: list[Sender] = []
 

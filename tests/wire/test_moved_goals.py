@@ -7,7 +7,6 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import anyio
 import pytest
 
 from fibaction.border.abc import GoalRequest
@@ -20,23 +19,18 @@ from fibaction.wire.messages import (
     Failed,
     Feedback,
     Follow,
-    ListActions,
     Received,
     SendGoal,
     Why,
 )
-from fibaction.wire.settings import ClientSettings
 from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
     ServerFailed,
-    ServerNotFound,
-    UnknownGoal,
 )
-from fibaction.words.goals import UNKNOWN_OUTCOME, Outcome
+from fibaction.words.goals import Outcome
 from tests.wire.ends import (
     GOAL_ID,
-    ONCE,
     PATIENT,
     SUCCEEDED,
     WINDOW,
@@ -57,12 +51,12 @@ GONE = ConnectionLost("the worker is gone")
 class Client:
     """A client with a connection to each of two servers."""
 
-    def __init__(self, tasks: Any, settings: ClientSettings) -> None:
+    def __init__(self, tasks: Any) -> None:
         self.networks = Network(), Network()
         self.lost: list[tuple[RemoteGoal, ActionError]] = []
         session, ids = new_session(), itertools.count(1)
         self.one, self.other = (
-            RemoteConnection(network.dial, "memory", settings, session=session, ids=ids)
+            RemoteConnection(network.dial, "memory", PATIENT, session=session, ids=ids)
             for network in self.networks
         )
         for connection in (self.one, self.other):
@@ -71,11 +65,11 @@ class Client:
     def lose(self, goal: RemoteGoal, error: ActionError) -> None:
         self.lost.append((goal, error))
 
-    async def send(self, server: Peer, *, credit: bool = True) -> RemoteGoal:
+    async def send(self, server: Peer) -> RemoteGoal:
         """A goal that the first server has accepted."""
 
         async def send() -> RemoteGoal:
-            request = GoalRequest(GOAL_ID, b"goal", feedback=credit)
+            request = GoalRequest(GOAL_ID, b"goal")
             return await self.one.calls.send("fibonacci", request, on_lost=self.lose)
 
         async with Running(send) as sending:
@@ -100,11 +94,9 @@ class Client:
 
 
 @asynccontextmanager
-async def two_servers(
-    settings: ClientSettings = PATIENT,
-) -> AsyncGenerator[tuple[Client, Peer, Peer], None]:
+async def two_servers() -> AsyncGenerator[tuple[Client, Peer, Peer], None]:
     async with Background() as tasks:
-        client = Client(tasks, settings)
+        client = Client(tasks)
         one, other = [await network.accept() for network in client.networks]
         await settled()
         yield client, one, other
@@ -132,49 +124,6 @@ async def test_a_goal_goes_on_elsewhere_behind_its_last_feedback() -> None:
         assert (goal.dropped, client.other.calls.is_empty) == (0, True)
 
 
-async def test_the_end_is_noted_for_its_first_server_only() -> None:
-    async with two_servers() as (client, one, other):
-        ended: list[str] = []
-        goal = await client.send(one)
-        goal.when_ended(lambda: ended.append("one"))
-        client.one.end(GONE)
-        client.other.calls.adopt(goal, client.lose)
-        await other.say(following(await other.hear(Follow)))
-        await other.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
-        assert await outcome_of(goal) == ENDED
-        assert not ended
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        goal.when_ended(lambda: ended.append("one"))
-        await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
-        assert await outcome_of(goal) == ENDED
-        assert ended == ["one"]
-
-
-@pytest.mark.parametrize(
-    ("why", "error"),
-    [
-        (Why.CONNECTION_LOST, ConnectionLost),
-        (Why.SERVER_NOT_FOUND, ServerNotFound),
-        (Why.UNKNOWN_GOAL, UnknownGoal),
-    ],
-)
-async def test_a_goal_that_its_server_does_not_have_any_more_is_lost(
-    why: int, error: type[ActionError]
-) -> None:
-    async with two_servers() as (client, one, other):
-        goal = await client.send(one)
-        await one.say(Failed(goal.id, why, "not here"))
-        await settled()
-        ((lost, reason),) = client.lost
-        assert (lost, type(reason)) == (goal, error)
-        assert client.one.calls.is_empty
-        client.other.calls.adopt(goal, client.lose)
-        await other.say(following(await other.hear(Follow)))
-        await other.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
-        assert await outcome_of(goal) == ENDED
-
-
 async def test_a_goal_whose_server_has_a_bug_is_not_lost_but_fails() -> None:
     async with two_servers() as (client, one, _):
         goal = await client.send(one)
@@ -182,42 +131,6 @@ async def test_a_goal_whose_server_has_a_bug_is_not_lost_but_fails() -> None:
         with pytest.raises(ServerFailed):
             await outcome_of(goal)
         assert not client.lost
-
-
-async def test_what_was_not_answered_can_be_ended_alone() -> None:
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        async with Running(client.one.actions) as asking:
-            await one.hear(ListActions)
-            client.one.calls.fail_unanswered(GONE)
-            with pytest.raises(ConnectionLost, match="the worker is gone"):
-                await asking.answer()
-        await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
-        assert await outcome_of(goal) == ENDED
-
-
-async def test_a_lost_goal_can_be_finished_without_a_server() -> None:
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        await one.say(Feedback(goal.id, 1, b""))
-        assert await numbers_of(goal, 1) == [1]
-        client.one.end(GONE)
-        async with Running(goal.outcome) as waiting:
-            goal.finish(ENDED, 4, 1)
-            assert await waiting.answer() == ENDED
-        assert await numbers_of(goal) == []
-        assert goal.dropped == 3
-
-
-async def test_a_lost_goal_can_be_finished_in_another_attempt() -> None:
-    async with two_servers() as (client, one, _):
-        goal = await client.send(one)
-        await one.say(Feedback(goal.id, 1, b""))
-        await settled()
-        client.one.end(GONE)
-        goal.finish(UNKNOWN_OUTCOME, 2, 3)
-        assert await numbers_of(goal) == [1]
-        assert (goal.attempt, goal.dropped) == (3, 2)
 
 
 async def test_a_goal_of_another_client_moves_as_an_observer() -> None:
@@ -245,14 +158,3 @@ async def test_a_goal_that_was_closed_while_it_was_lost_asks_for_the_end_only() 
         client.other.calls.adopt(goal, client.lose)
         asked = await other.hear(Follow)
         assert asked.credit is None
-
-
-async def test_the_time_at_which_a_line_was_lost_is_known_with_the_goal() -> None:
-    async with two_servers(ONCE) as (client, one, _):
-        goal = await client.send(one)
-        before = anyio.current_time()
-        one.channel.cut()
-        await settled()
-        assert [lost for lost, _ in client.lost] == [goal]
-        assert client.one.lost_at is not None
-        assert before <= client.one.lost_at <= anyio.current_time()

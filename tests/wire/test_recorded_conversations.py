@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from fibaction import serve
-from fibaction.wire.frames import HEADER
+from fibaction.wire.frames import framed
 from fibaction.wire.messages import VERSION, FeedbackBatch, Ping, StatusChanged
 from tests.wire.record_conversation import RECORDED, frames, record, server
 
@@ -84,7 +84,7 @@ async def test_a_client_of_an_earlier_release_hears_what_it_has_heard(path: Path
                     side, _, text = line.partition(" ")
                     frame = bytes.fromhex(text)
                     if side == ">":
-                        await stream.send(len(frame).to_bytes(HEADER, "big") + frame)
+                        await stream.send(framed([frame]))
                         continue
                     for expected in read(frame):
                         while not heard:

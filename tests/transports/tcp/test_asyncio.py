@@ -436,19 +436,6 @@ async def test_the_last_frame_is_handed_over_before_the_end() -> None:
     assert str(one.error) == "that was the last frame"
 
 
-@pytest.mark.parametrize(
-    ("said", "how"), [(b"", "its side"), (b"\0\0", "in the middle of a message")]
-)
-async def test_a_peer_that_closes_says_nothing_more(said: bytes, how: str) -> None:
-    async with beside_a_socket() as (end, peer):
-        peer.send(said)
-        peer.shutdown(socket.SHUT_WR)
-        with anyio.fail_after(30):
-            await end.ended.wait()
-        assert isinstance(end.error, ConnectionLost)
-        assert str(end.error) == f"{end.line.peer} closed {how}"
-
-
 async def test_a_connection_that_is_reset_is_lost_with_its_cause() -> None:
     async with beside_a_socket() as (end, peer):
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)

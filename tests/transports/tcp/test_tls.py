@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import socket
@@ -53,14 +52,6 @@ async def test_a_host_with_several_addresses_is_served_over_tls_at_each_of_them(
             assert await works(TcpTransport(host, port_of(url), tls=context))
 
 
-async def test_contexts_of_ones_own_are_used_as_they_are() -> None:
-    serving = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    serving.load_cert_chain(pems().cert)
-    connecting = ssl.create_default_context(cafile=pems().ca)
-    async with serve(new_server(), TcpTransport(port=0, tls=serving)) as (url,):
-        assert await works(TcpTransport(port=port_of(url), tls=connecting))
-
-
 @pytest.mark.parametrize(
     ("host", "ca", "reason"),
     [
@@ -79,11 +70,6 @@ async def test_a_server_whose_certificate_is_not_right_is_not_talked_to(
             failed = await failure(AuthenticationFailed, url, tls=trusted, reconnect=reconnect)
             assert failed.startswith(f"cannot set up TLS with {url}: ")
             assert re.search(reason, failed)
-
-
-async def test_with_mutual_tls_a_client_that_has_a_certificate_is_served() -> None:
-    async with serve(new_server(), tls_server(**pems()._asdict())) as (url,):
-        assert await works(url, tls=TlsFiles(*pems()))
 
 
 @pytest.mark.parametrize("reconnect", [True, False])
@@ -202,17 +188,6 @@ async def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
         TlsFiles(cert="/none.pem").client()
 
 
-async def test_plain_text_at_a_tls_port_is_one_line_in_the_log(heard: Hearing) -> None:
-    async with serve(new_server(), tls_server(cert=pems().cert)) as (url,):
-        async with raw(url) as peer:
-            await peer.say(b"hello?")
-            record = await heard.until(peer.name)
-            assert record.getMessage() == f"{peer.name}: no TLS: it does not speak TLS"
-            assert (record.levelno, record.exc_info) == (logging.WARNING, None)
-            assert await works(url, tls=TlsFiles(ca=pems().ca))
-        assert heard.warnings == [record.getMessage()]
-
-
 @pytest.mark.parametrize("reconnect", [True, False])
 async def test_a_plain_client_at_a_tls_server_is_told_so_and_gives_up(
     reconnect: bool, heard: Hearing
@@ -223,6 +198,8 @@ async def test_a_plain_client_at_a_tls_server_is_told_so_and_gives_up(
         assert failed == f"{plain}: this server speaks TLS: use tls://"
         (said,) = heard.warnings
         assert said.endswith(": no TLS: it does not speak TLS")
+        assert heard.records[-1].exc_info is None
+        assert await works(url, tls=TlsFiles(ca=pems().ca))
 
 
 @pytest.mark.parametrize("reconnect", [True, False])

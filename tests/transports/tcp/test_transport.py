@@ -248,14 +248,6 @@ def test_a_unix_socket_is_one_sentence_on_a_system_without_them(
         UnixTransport("/run/robot.sock")
 
 
-def test_unix_sockets_are_served_on_trio_too(tmp_path: Path) -> None:
-    async def main() -> None:
-        async with serve(new_server(), f"unix://{tmp_path}/socket") as (url,):
-            assert await works(url)
-
-    anyio.run(main, backend="trio")
-
-
 async def test_a_server_that_hangs_up_in_the_handshake_is_a_transport_error() -> None:
     async def hang_up(stream: SocketStream) -> None:
         await stream.aclose()
