@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import logging
-import math
 import socket
 import struct
 from collections.abc import AsyncGenerator
@@ -19,15 +17,11 @@ from anyio.abc import SocketAttribute
 from fibaction import (
     ActionClient,
     ActionServer,
-    GoalHandle,
-    GoalStatus,
     connect,
     serve,
 )
-from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.wire.frames import FIRST_FRAME, framed, header
-from fibaction.wire.link import Link
-from fibaction.wire.messages import VERSION, Goodbye, Hello, SendGoal, Why, encode
+from fibaction.wire.messages import VERSION, Goodbye, Hello, Why, encode
 from fibaction.wire.settings import Limits
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.transports.hearing import Hearing, Raw, hearing, port_of, raw
@@ -154,64 +148,6 @@ async def test_a_peer_that_does_not_finish_its_hello_is_not_waited_for(data: byt
     async with scene(limits=Limits(handshake=0.05)) as here, raw(here.url) as peer:
         await peer.send(data)
         await here.ends(peer, "it has not said hello within 0.05 s", Why.LIMIT)
-
-
-async def test_a_peer_that_never_reads_is_dropped_and_costs_no_more_than_its_queue() -> None:
-    size, queue, window = 2**14, 2**16, 4
-    most = most_unread = 0
-    taken = 0
-    canceled = anyio.Event()
-
-    async def executor(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        nonlocal most, most_unread, taken
-        if goal.request.order == 3:
-            yield Result([0, 1, 1, 2])
-            return
-        queues = links()
-        followed: list[FeedbackCursor] = []
-        made = 0
-        try:
-            while True:
-                made += 1
-                yield Feedback([1] * size)
-                most = max(most, *(link._queued for link in queues))
-                followed = followed or streams()
-                taken = max(taken, *(stream.cursor for stream in followed))
-                most_unread = max(most_unread, made - taken)
-        except anyio.get_cancelled_exc_class():
-            # It stands at the `yield` that fills the log, and has not counted what was taken since.
-            taken = max(taken, *(stream.cursor for stream in followed))
-            most_unread = max(most_unread, made - taken)
-            canceled.set()
-            raise
-
-    server = ActionServer(FIBONACCI, executor, feedback_window=window, stall_timeout=math.inf)
-    settings: dict[str, Any] = {"orphans": "cancel", "grace": 0.01}
-    async with scene(server, heartbeat=0.05, limits=Limits(queue=queue), **settings) as here:
-        async with raw(here.url) as peer:
-            endless = SendGoal(
-                1, "fibonacci", bytes(range(16)), FIBONACCI.goal.encode(Goal(1)), 2**31 - 1
-            )
-            await peer.say(HELLO, encode(endless))
-            await here.heard.until(f"{peer.name} has read nothing for 0.2 s")
-            with anyio.fail_after(30):
-                await canceled.wait()
-            assert taken * size > queue  # more than that is on the line, whatever it holds
-            assert most < queue
-            # The rest waits where it is made.
-            assert most_unread == window
-            assert await here.is_well()
-
-
-def links() -> list[Link]:
-    """All connections of this process that somebody still holds."""
-    return [one for one in gc.get_objects() if isinstance(one, Link)]
-
-
-def streams() -> list[FeedbackCursor]:
-    """All streams of goals of this process that go on."""
-    found = [one for one in gc.get_objects() if isinstance(one, FeedbackCursor)]
-    return [one for one in found if one.status is GoalStatus.EXECUTING]
 
 
 @pytest.mark.load

@@ -284,31 +284,6 @@ async def test_a_silent_line_is_noticed_and_no_call_hangs(directions: tuple[str,
     assert len(set(map(id, lost))) == len(calls)  # each is raised in a task of its own
 
 
-@pytest.mark.promise("FEEDBACK-12")
-async def test_a_slow_reader_of_one_goal_delays_no_other_on_its_connection() -> None:
-    sent: Counter[GoalID] = Counter()
-
-    async def executor(goal: GoalHandle[Goal]) -> Items:
-        for number in range(goal.request.order):
-            sent[goal.goal_id] += 1
-            yield Feedback([number] * 2000)
-        yield Result([])
-
-    server = ActionServer(FIBONACCI, executor, feedback_window=8, stall_timeout=math.inf)
-    async with serve(server, address()) as (url,):
-        async with connect(url, FIBONACCI, window=16) as client:
-            with anyio.fail_after(15):
-                slow = await client.send_goal(Goal(1000))
-                quick = await client.send_goal(Goal(1000))
-                assert len([item async for item in quick.feedback]) == 1000
-                await quick.result()
-                assert slow.status is GoalStatus.EXECUTING
-                assert sent[slow.goal_id] == 16 + 8
-                read = [item.partial_sequence[0] async for item in slow.feedback]
-                assert read == list(range(1000))
-                assert slow.feedback_dropped == 0
-
-
 # A line that is away for longer than calls wait
 
 OFTEN = Retry(attempts=500, delay=0.02, max_delay=0.02)

@@ -8,7 +8,6 @@ import anyio
 import pytest
 from anyio.abc import ByteStream
 
-from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import CHUNK, StreamChannel
 from fibaction.wire.frames import HEADER, FrameReader, header
 from fibaction.words.errors import ConnectionLost, ProtocolError
@@ -61,39 +60,6 @@ class FakeStream(ByteStream):
         if self.error is not None:
             raise self.error
         self.closed = True
-
-
-class PipeEnd(ByteStream):
-    """One direction of a line that holds so many bytes; sending waits for the other end to read."""
-
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
-        self._buffer = bytearray()
-        self._changed = Notifier()
-        self._ended = False
-
-    async def receive(self, max_bytes: int = 65536) -> bytes:
-        while not self._buffer:
-            if self._ended:
-                raise anyio.EndOfStream
-            await self._changed.wait()
-        data = bytes(self._buffer[:max_bytes])
-        del self._buffer[:max_bytes]
-        self._changed.notify()
-        return data
-
-    async def send(self, item: bytes) -> None:
-        self._buffer += item
-        self._changed.notify()
-        while len(self._buffer) > self._capacity:
-            await self._changed.wait()
-
-    async def send_eof(self) -> None:
-        raise NotImplementedError
-
-    async def aclose(self) -> None:
-        self._ended = True
-        self._changed.notify()
 
 
 def channel_over(stream: ByteStream, limit: int = LIMIT) -> StreamChannel:
@@ -168,31 +134,34 @@ async def test_a_line_that_breaks_is_a_lost_connection_for_the_sender(error: Exc
 
 
 async def test_each_piece_that_a_slow_peer_takes_is_progress() -> None:
-    pipe = PipeEnd(capacity=0)
-    channel = channel_over(pipe)
+    stream, taken = FakeStream(), anyio.Semaphore(0)
+    stream.wait = taken.acquire
+    channel = channel_over(stream)
     with anyio.fail_after(5):
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(channel.send, [bytes(10 * CHUNK)])
             for number in range(11):  # with the header, it is a little more than ten pieces
                 await anyio.wait_all_tasks_blocked()
                 assert channel.progress == number
-                await pipe.receive(CHUNK)
+                taken.release()
     assert channel.progress == 11
 
 
 async def test_a_wait_for_frames_can_be_canceled_and_nothing_is_lost() -> None:
-    pipe = PipeEnd(capacity=1000)
-    channel = channel_over(pipe)
     data = framed(b"one")
+    stream, arrived = FakeStream(*(bytes([byte]) for byte in data)), anyio.Semaphore(0)
+    stream.wait = arrived.acquire
+    channel = channel_over(stream)
+    frames: list[bytes] = []
     with anyio.fail_after(5):
-        for start in range(len(data)):
-            await pipe.send(data[start : start + 1])
+        for _ in data:
             async with anyio.create_task_group() as tasks:
-                if start < len(data) - 1:
-                    tasks.start_soon(channel.receive)
-                    await anyio.wait_all_tasks_blocked()
-                    tasks.cancel_scope.cancel()
-        assert await channel.receive() == [b"one"]
+                tasks.start_soon(channel.receive)
+                await anyio.wait_all_tasks_blocked()
+                tasks.cancel_scope.cancel()
+            arrived.release()
+            frames += await channel.receive()
+    assert frames == [b"one"]
 
 
 async def test_after_half_a_frame_nothing_more_is_sent() -> None:
