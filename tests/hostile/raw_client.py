@@ -139,11 +139,6 @@ class Raw:
             while self.is_open:
                 await self._news.wait()
 
-    @property
-    def heard(self) -> list[Any]:
-        """The answers that have arrived and were not heard."""
-        return list(self._heard)
-
     async def close_half(self) -> None:
         """Close the direction to the server, and read on."""
         await self._stream.send_eof()

@@ -18,6 +18,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction.wire.channel import Channel
 from fibaction.wire.messages import Ping, encode
 from fibaction.words.errors import ConnectionLost
+from tests.transports.hearing import hearing
 
 T = TypeVar("T")
 
@@ -248,25 +249,8 @@ class Apart(Generic[T]):
         assert self._task.cancelled()
 
 
-class _Lines(logging.Handler):
-    def __init__(self) -> None:
-        super().__init__()
-        self.records: list[logging.LogRecord] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.records.append(record)
-
-
 @contextmanager
-def logged(level: int = logging.INFO) -> Generator[list[logging.LogRecord], None, None]:
+def logged() -> Generator[list[logging.LogRecord], None, None]:
     """What `fibaction.wire` logs; unlike `caplog`, it can be had for each example of a property."""
-    handler = _Lines()
-    logger = logging.getLogger("fibaction.wire")
-    before = logger.level
-    logger.setLevel(level)
-    logger.addHandler(handler)
-    try:
-        yield handler.records
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(before)
+    with hearing() as heard:
+        yield heard.records
