@@ -24,12 +24,10 @@ from fibaction import (
     ActionClient,
     ActionServer,
     GoalAborted,
-    GoalHandle,
     GoalRejected,
     GoalStatus,
     Parent,
     connect,
-    serve,
 )
 from fibaction.testing import ScriptedServer, run_executor
 from tests.support.nats_server import IS_LEFT_OUT
@@ -648,47 +646,23 @@ def survives_signals() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-async def interrupted_client(server: ActionServer[Goal, Feedback, Result], signals: int) -> int:
-    """The exit code of a client that gets so many SIGINTs, the first while its goal executes."""
-    url = "inproc://interrupted"
-    code = -1
-
-    async def follow() -> None:
-        nonlocal code
-        code = await fibonacci_client.main(url, 10, None)
-        done.set()
-
-    done = anyio.Event()
-    async with serve(server, url), anyio.create_task_group() as tasks:
-        statuses = await server.status()
-        tasks.start_soon(follow)
-        with statuses:
-            while (change := await statuses.receive()) is not None:
-                if change.status is GoalStatus.EXECUTING:
-                    break
-        for _ in range(signals):
-            await anyio.wait_all_tasks_blocked()
-            assert not done.is_set()
-            signal.raise_signal(SIGINT)
-            await anyio.wait_all_tasks_blocked()
-        await done.wait()
-    return code
-
-
 @pytest.mark.asyncio
-@pytest.mark.usefixtures("survives_signals")
 async def test_a_second_ctrl_c_does_not_wait_for_the_end_of_the_goal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    async def takes_its_time(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        await anyio.sleep_forever()
-        yield Result([])
+    async def signals() -> AsyncGenerator[signal.Signals, None]:
+        yield SIGINT
+        assert not scope.cancel_called
+        yield SIGINT
 
-    # Nobody interrupts the executor at a cancel, so the goal goes on until the server stops.
-    server = ActionServer(FIBONACCI, takes_its_time, interrupt_on_cancel=False)
+    scope = anyio.CancelScope()
     with anyio.fail_after(30):
-        assert await interrupted_client(server, 2) == 3
-    assert capsys.readouterr().out.splitlines()[2:] == ["cancel    accepted"]
+        async with make_server(period=60) as server:
+            client = client_of(server)
+            goal = await client.send_goal(Goal(10))
+            await fibonacci_client.cancel_on_signal(signals(), client, goal.goal_id, scope)
+    assert scope.cancel_called
+    assert capsys.readouterr().out == "cancel    accepted\n"
 
 
 # The server
@@ -771,35 +745,42 @@ def test_a_goal_sent_to_another_process_succeeds(tmp_path: Path, folder: Path | 
     assert server.returncode == 0
 
 
-def test_ctrl_c_cancels_a_goal_of_another_process(tmp_path: Path) -> None:
-    with serving(60, tmp_path) as (_, url):
-        client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
-        lines_until("^accepted", client)
-        client.send_signal(SIGINT)
-        code, out, err = ended(client)
-    assert (code, err) == (3, "")
-    assert out.splitlines() == ["cancel    accepted", "canceled", "result    0 1"]
-
-
-def test_a_client_hears_that_the_server_was_stopped(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("settings", "end", "code", "told", "said"),
+    [
+        (
+            "",
+            lambda _, client: client.send_signal(SIGINT),
+            3,
+            ["cancel    accepted", "canceled", "result    0 1"],
+            [],
+        ),
+        (
+            "",
+            lambda server, _: server.send_signal(SIGTERM),
+            1,
+            ["aborted   server stopped", "result    0 1"],
+            [],
+        ),
+        ("?reconnect=false", lambda server, _: server.kill(), 6, [], ["error: {} closed its side"]),
+    ],
+    ids=["Ctrl-C", "the server is stopped", "the server is killed"],
+)
+def test_a_client_of_another_process_tells_how_its_goal_has_ended(
+    tmp_path: Path,
+    settings: str,
+    end: Callable[[Any, Any], None],
+    code: int,
+    told: list[str],
+    said: list[str],
+) -> None:
     with serving(60, tmp_path) as (server, url):
-        client = start("fibonacci_client.py", "--url", url, cwd=tmp_path)
+        client = start("fibonacci_client.py", "--url", f"{url}{settings}", cwd=tmp_path)
         lines_until("^accepted", client)
-        server.send_signal(SIGTERM)
-        code, out, err = ended(client)
-        assert server.wait(timeout=PATIENCE) == 0
-    assert (code, err) == (1, "")
-    assert out.splitlines() == ["aborted   server stopped", "result    0 1"]
-
-
-def test_a_client_that_is_not_to_reconnect_ends_when_the_server_is_killed(tmp_path: Path) -> None:
-    with serving(60, tmp_path) as (server, url):
-        client = start("fibonacci_client.py", "--url", f"{url}?reconnect=false", cwd=tmp_path)
-        lines_until("^accepted", client)
-        server.kill()
-        code, out, err = ended(client)
-    assert (code, out) == (6, "")
-    assert err.splitlines()[-1] == f"error: {url} closed its side"
+        end(server, client)
+        done = ended(client)
+    assert (done.code, done.out.splitlines()) == (code, told)
+    assert done.err.splitlines()[-1:] == [line.format(url) for line in said]
 
 
 def test_a_client_says_in_one_line_that_nobody_listens(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ MODULES = {
 """The modules that each extra brings."""
 
 NO_DOOR = {
-    "broker": "it brings a program and no module; test_run_broker hides the program",
+    "broker": "it brings a program and no module; test_brokers hides the program",
     "progress": "without tqdm and rich, `track` prints lines of text",
     "pydantic": "whoever has a model of pydantic has pydantic",
     "uvloop": "without it, the event loop is that of asyncio",

@@ -28,8 +28,8 @@ GROUPS = {
         "serve": ("serve", "serve_command", "Run your action servers."),
         "console": ("console", "console_command", "Operate actions in the browser."),
         "bridge": ("bridge", "bridge_command", "Serve the actions of one URL at another."),
-        "broker": ("run_broker", "broker_command", "Run a broker for a fleet on this machine."),
-        "router": ("run_router", "router_command", "Run a router of Zenoh, for zenoh://."),
+        "broker": ("brokers", "broker_command", "Run a broker for a fleet on this machine."),
+        "router": ("brokers", "router_command", "Run a router of Zenoh, for zenoh://."),
         "mcp": ("serve_mcp", "mcp_command", "Serve actions as tools of language models."),
     },
     "Send and follow goals": {

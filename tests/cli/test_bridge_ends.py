@@ -1,4 +1,4 @@
-"""The serving end of a bridge, of each of its two kinds."""
+"""Names of actions behind a bridge, and its serving end, of each of its two kinds."""
 
 from __future__ import annotations
 
@@ -8,13 +8,72 @@ from pathlib import Path
 import anyio
 import pytest
 
-from fibaction import Action, ActionServer, ClientConnection, connect
+from fibaction import Action, ActionServer, ClientConnection, GoalID, GoalStatus, connect
+from fibaction.cli.arguments.names import ROOT, Namespace
 from fibaction.cli.bridge.ends import open_end
+from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.cli.process.exit_codes import Failure
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.inprocess import InProcessTransport
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 
-pytestmark = pytest.mark.asyncio
+ARM, LAB = Namespace("/arm"), Namespace("/lab")
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "old", "new"),
+    [
+        (ROOT, None, "pick", "pick"),
+        (ROOT, None, "/arm/pick", "/arm/pick"),
+        (ROOT, LAB, "/arm/pick", "lab/arm/pick"),
+        (ROOT, LAB, "pick", "lab/pick"),
+        (ARM, LAB, "arm/pick", "lab/pick"),
+        (ARM, LAB, "/arm/left/pick", "lab/left/pick"),
+        (ARM, ROOT, "/arm/pick", "pick"),
+        (ARM, None, "/arm/pick", "/arm/pick"),
+        (ARM, LAB, "/army/pick", "lab/army/pick"),
+    ],
+)
+def test_a_namespace_takes_the_place_of_another(
+    source: Namespace, target: Namespace | None, old: str, new: str
+) -> None:
+    assert Renames(source, target).new_name(old) == new
+
+
+@pytest.mark.parametrize(
+    ("rule", "source", "target", "old", "new"),
+    [
+        ("pick=grasp", ROOT, None, "/pick", "grasp"),
+        ("/arm/pick=grasp", ROOT, None, "arm/pick", "grasp"),
+        ("pick:=grasp", ARM, None, "/arm/pick", "arm/grasp"),
+        ("pick=left/grasp", ARM, LAB, "/arm/pick", "lab/left/grasp"),
+        ("/arm/pick=/grasp", ARM, LAB, "/arm/pick", "grasp"),
+    ],
+)
+def test_a_rule_comes_before_the_namespace(
+    rule: str, source: Namespace, target: Namespace | None, old: str, new: str
+) -> None:
+    assert Renames.parse([rule], source, target).new_name(old) == new
+
+
+def test_names_that_clash_are_found_only_among_new_ones() -> None:
+    AS_THEY_ARE.check(["pick", "/pick"])  # as the server has them
+    with pytest.raises(Failure, match=r"^/arm/pick and /pick cannot both be served as /pick"):
+        Renames.parse(["arm/pick=pick"], ROOT, None).check(["pick", "arm/pick"])
+    Renames.parse(["arm/pick=pick", "pick=arm/pick"], ROOT, None).check(["pick", "arm/pick"])
+
+
+@pytest.mark.asyncio
+async def test_an_endpoint_under_a_new_name_is_the_same_one() -> None:
+    server = ActionServer(FIBONACCI, fibonacci)
+    assert AS_THEY_ARE.endpoint(server) is server
+    renamed = Renames(ROOT, LAB).endpoint(server)
+    assert renamed.info.name == "lab/fibonacci"
+    assert renamed.info.goal == server.info.goal
+    async with server:
+        goal = FIBONACCI.goal.encode(Goal(2))
+        with await renamed.send_goal(GoalID.random(), goal) as stream:
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
 
 
 async def names(connection: ClientConnection) -> list[str]:
@@ -30,6 +89,7 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return f"unix://{tmp_path}/socket" if request.param == "unix" else request.param
 
 
+@pytest.mark.asyncio
 async def test_actions_are_added_and_removed_while_others_run(url: str) -> None:
     action = named("one")
     one, other = ActionServer(action, fibonacci), ActionServer(named("other"), fibonacci)
@@ -58,6 +118,7 @@ async def test_actions_are_added_and_removed_while_others_run(url: str) -> None:
                 assert await names(connection) == []
 
 
+@pytest.mark.asyncio
 async def test_an_action_that_cannot_be_served_leaves_the_others() -> None:
     server = ActionServer(FIBONACCI, fibonacci)
     with anyio.fail_after(10):
@@ -69,6 +130,7 @@ async def test_an_action_that_cannot_be_served_leaves_the_others() -> None:
                 assert await names(connection) == ["fibonacci"]
 
 
+@pytest.mark.asyncio
 async def test_a_server_whose_actions_stay_begins_with_all_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -85,6 +147,7 @@ async def test_a_server_whose_actions_stay_begins_with_all_of_them(
                 assert await names(connection) == ["one"]
 
 
+@pytest.mark.asyncio
 async def test_an_address_that_cannot_be_used_is_an_error() -> None:
     with pytest.raises(TransportError, match="is for clients: serve at http://"):
         async with open_end("rosbridge://127.0.0.1:9090"):

@@ -1,4 +1,4 @@
-"""What the shell completes."""
+"""What the shell completes, also in a namespace."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from click.shell_completion import BashComplete
 from fibaction import ActionInfo
 from fibaction.cli.app import cli
 from fibaction.cli.arguments import completion
+from fibaction.cli.process.exit_codes import ExitCode
 from tests.cli.conftest import Run, detached
 
 
@@ -156,3 +157,68 @@ def test_the_names_of_many_actions_are_offered_in_part() -> None:
     many = [ActionInfo(f"a{number}") for number in range(completion.MOST_OFFERED + 1)]
 
     assert completion.plain(many) == many[:-1]
+
+
+def test_names_are_relative_to_the_namespace(here: Run, tcp: str) -> None:
+    goal_id = here("send_goal", "pick", "object_name: cup", "--detach", "-n", "/arm", url=tcp).out
+    assert here("attach", goal_id.strip(), "pick", "-n", "/arm", url=tcp).code == 0
+    assert here("attach", goal_id.strip(), "-n", "/arm", url=tcp).code == 0
+    assert here("info", "pick", "-n", "arm", url=tcp).lines[0] == "Action: /arm/pick"
+    assert here("info", "/wait", "-n", "arm", url=tcp).lines[0] == "Action: /wait"
+    done = here("cancel", "pick", goal_id.strip(), "-n", "/arm", url=tcp)
+    text = f"The goal {goal_id.strip()} of /arm/pick is not canceled: it has ended already\n"
+    assert (done.code, done.err) == (ExitCode.ABORTED, text)
+    assert here("cancel", "pick", "--all", "-n", "/arm", url=tcp).err == (
+        "There is no goal to cancel.\n"
+    )
+    _, _, err = here("echo", "pic", "-n", "/arm", url=tcp)
+    assert "the action /arm/pic is not served; did you mean /arm/pick?" in err
+
+
+FLEET = {
+    "tcp://fleet": ["robot1/navigate", "robot2/navigate", "robot2/arm/pick", "look"],
+    "tcp://other": ["other/look"],
+}
+
+
+def offered(words: str) -> list[str]:
+    """What the shell offers for the last word."""
+    *before, incomplete = words.split(" ")
+    return offered_by_shell(before, incomplete)
+
+
+@pytest.fixture
+def fleet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two servers with namespaces, as completion sees them."""
+
+    async def actions_at(url: str) -> list[ActionInfo]:
+        return list(map(ActionInfo, FLEET[url]))
+
+    monkeypatch.setattr(completion, "actions_at", actions_at)
+    monkeypatch.setenv("FIBACTION_URL", "tcp://fleet")
+
+
+@pytest.mark.usefixtures("fleet")
+def test_namespaces_are_completed_as_they_are_begun() -> None:
+    for verb in ("list", "goals", "top"):
+        assert offered(f"{verb} -n ") == ["/robot1", "/robot2", "/robot2/arm"]
+    assert offered("list -n /robot2") == ["/robot2", "/robot2/arm"]
+    assert offered("list --namespace robot2/") == ["robot2/arm"]
+    assert offered("list -n /nowhere") == []
+    assert offered("list -u tcp://other -n ") == ["/other"]
+
+
+@pytest.mark.usefixtures("fleet")
+def test_a_bridge_completes_from_the_url_that_it_bridges() -> None:
+    assert offered("bridge tcp://other tcp://fleet -n ") == ["/other"]
+    assert offered("bridge tcp://other --namespace=/o") == ["/other"]
+    assert offered("bridge -n ") == []
+    assert offered("bridge tcp://fleet tcp://other -n /robot2 ") == ["navigate", "arm/pick"]
+
+
+@pytest.mark.usefixtures("fleet")
+def test_names_are_completed_relative_to_the_namespace() -> None:
+    assert offered("goals -n /robot2 ") == ["navigate", "arm/pick"]
+    assert offered("goals -n robot2 a") == ["arm/pick"]
+    assert offered("goals -n robot2 /robot1") == ["/robot1/navigate"]
+    assert offered("goals -n /2 robot1") == ["robot1/navigate"]  # the namespace is rejected later

@@ -1,24 +1,51 @@
-"""Goals in columns: what is cut where there is little room."""
+"""Goals in columns: what is cut where there is little room, their outcomes and their families."""
 
 from __future__ import annotations
 
 import io
+import json
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 
+import anyio
 import pytest
 from rich.console import Console
 
-from fibaction import GoalID, GoalInfo, GoalStatus, Outcome, Parent
+from fibaction import (
+    Action,
+    ActionClient,
+    ActionInfo,
+    ActionServer,
+    GoalAborted,
+    GoalHandle,
+    GoalID,
+    GoalInfo,
+    GoalStatus,
+    Outcome,
+    Parent,
+    UnknownGoal,
+    serve,
+)
+from fibaction.cli.arguments.goal_lookup import goals_of
+from fibaction.cli.output.goal_details import Outcomes
 from fibaction.cli.output.goal_table import (
     CSV_COLUMNS,
+    Family,
     GoalRow,
     csv_cells,
     duration,
+    family_of,
     in_color,
     in_columns,
     ordinal,
     picture,
+    step_of,
     unambiguous,
 )
+from fibaction.cli.verbs.follow import attach
+from fibaction.cli.verbs.list_goals import Form, list_goals
+from fibaction.observe.monitor import AnyClient, GoalKey, GoalSnapshot, Monitor
+from tests.cli.served import Altered, counter
 
 A = GoalID.parse("aaaaaaaa" + "0" * 24)
 B = GoalID.parse("aaaaaaaa" + "1" * 24)
@@ -124,26 +151,12 @@ def test_a_goal_without_a_worker_says_so() -> None:
 
 
 def test_a_row_for_programs_has_all_of_it() -> None:
-    assert row(client="me").json() == {
-        "action": "arm/pick",
-        "goal_id": str(A),
-        "stamp": 10**9,
-        "status": "EXECUTING",
-        "feedback_count": 0,
-        "client": "me",
-        "place": 0,
-        "queue_length": 0,
-        "attempt": 1,
-        "has_worker": True,
-        "worker": "",
-        "parent": None,
-        "labels": {},
-        "began_at": None,
-        "ended_at": None,
-        "waited": None,
-        "ran": None,
-        "reason": "",
-    }
+    assert json.dumps(row(client="me").json(), separators=(",", ":")) == (
+        f'{{"action":"arm/pick","goal_id":"{A}","stamp":1000000000,"status":"EXECUTING",'
+        '"feedback_count":0,"client":"me","place":0,"queue_length":0,"attempt":1,'
+        '"has_worker":true,"worker":"","parent":null,"labels":{},"began_at":null,'
+        '"ended_at":null,"waited":null,"ran":null,"reason":""}'
+    )
     ended = GoalRow("a", WAITING, Outcome(GoalStatus.ABORTED, {"n": 1}, "stuck")).json()
     assert (ended["reason"], ended["result"]) == ("stuck", {"n": 1})
     assert GoalRow("a", WAITING).json()["place"] == 2
@@ -214,25 +227,15 @@ def test_a_row_of_csv_has_times_spans_and_the_result() -> None:
     )
     row = GoalRow("arm/pick", info, Outcome(GoalStatus.SUCCEEDED, {"cup": [-1]}))
 
-    assert csv_row(row) == {
-        "action": "arm/pick",
-        "goal_id": str(A),
-        "status": "SUCCEEDED",
-        "accepted_at": "2026-01-31T12:00:00.000000Z",
-        "began_at": "2026-01-31T12:00:01.500000Z",
-        "ended_at": "2026-01-31T12:00:04.000001Z",
-        "waited": "1.500000",
-        "ran": "2.500001",
-        "attempt": "2",
-        "feedback_count": "3",
-        "client": "robot7 at 10.0.0.7:4",
-        "parent": str(B),
-        "step": "pick",
-        "reason": "",
-        "result": '{"cup":[-1]}',
-        "labels": '{"order":"17"}',
-        "worker": "gpu-3",
-    }
+    assert ",".join(CSV_COLUMNS) == (
+        "action,goal_id,status,accepted_at,began_at,ended_at,waited,ran,attempt,feedback_count,"
+        "client,parent,step,reason,result,labels,worker"
+    )
+    assert ",".join(csv_cells(row)) == (
+        f"arm/pick,{A},SUCCEEDED,2026-01-31T12:00:00.000000Z,2026-01-31T12:00:01.500000Z,"
+        "2026-01-31T12:00:04.000001Z,1.500000,2.500001,2,3,robot7 at 10.0.0.7:4,"
+        f'{B},pick,,{{"cup":[-1]}},{{"order":"17"}},gpu-3'
+    )
 
 
 def test_a_goal_that_runs_has_waited_and_no_time_of_its_run() -> None:
@@ -262,3 +265,180 @@ def test_the_reason_of_an_outcome_that_is_not_known_is_that_of_the_list() -> Non
 def test_text_of_others_is_one_line_of_csv_and_no_formula(reason: str, cell: str) -> None:
     info = GoalInfo(A, NOON, GoalStatus.ABORTED, reason=reason)
     assert csv_row(GoalRow("arm/pick", info))["reason"] == cell
+
+
+@pytest.mark.asyncio
+async def test_goals_that_have_ended_have_a_reason_or_a_result() -> None:
+    ends = (["done\x1b"], [GoalAborted("stuck")], [GoalAborted("")], [anyio.Event()])
+    server = counter("count", *ends)
+    async with server:
+        client = ActionClient(server, server.action)
+        for _ in range(3):
+            await (await client.send_goal(1)).outcome()
+        await client.send_goal(1)
+        clients: dict[str, AnyClient] = {"count": client}
+        rows = await goals_of(clients)
+        whole = await Outcomes().of(clients, rows)
+        assert [row.info for row in whole] == [row.info for row in rows]
+        assert [row.end for row in whole] == ["done\\x1b", "stuck", "", ""]
+        succeeded, aborted, empty, running = (row.outcome for row in whole)
+        assert succeeded is not None
+        assert (succeeded.status, succeeded.result) == (GoalStatus.SUCCEEDED, "done\x1b")
+        assert aborted is not None
+        assert empty is not None
+        assert running is None
+
+        newest = await Outcomes(1).of(clients, rows)
+        assert [row.outcome is not None for row in newest] == [False, False, True, False]
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_does_not_give_an_outcome_is_left_with_its_list() -> None:
+    async with counter("count", ["done"]) as server:
+        altered = Altered(server)
+        client = ActionClient(altered, server.action)
+        await client.call(1)
+        rows = await goals_of({"count": client})
+
+        async def forgotten(goal_id: object) -> None:
+            raise UnknownGoal(rows[0].info.goal_id)
+
+        async def silent(goal_id: object) -> None:
+            await anyio.sleep_forever()
+
+        for answer in (forgotten, silent):
+            altered.calls["get_result"] = answer
+            assert await Outcomes().of({"count": client}, rows, 0.01) == rows
+
+
+@pytest.mark.asyncio
+async def test_an_outcome_is_asked_for_once_while_its_goal_is_listed() -> None:
+    async with counter("count", ["one"], ["two"]) as server:
+        altered = Altered(server)
+        client = ActionClient(altered, server.action)
+        await client.call(1)
+        await client.call(1)
+        clients: dict[str, AnyClient] = {"count": client}
+        rows = await goals_of(clients)
+        kept = Outcomes()
+        assert [row.end for row in await kept.of(clients, rows)] == ["one", "two"]
+
+        async def forgotten(goal_id: object) -> None:
+            raise UnknownGoal(rows[0].info.goal_id)
+
+        altered.calls["get_result"] = forgotten
+        assert [row.end for row in await kept.of(clients, rows)] == ["one", "two"]
+        await kept.of(clients, rows[1:])
+        assert [row.end for row in await kept.of(clients, rows)] == ["", "two"]
+
+
+URL = "inproc://family"
+DRIVE = Action("drive", goal=str, feedback=int, result=str)
+FETCH = Action("base/fetch", goal=str, feedback=int, result=str)
+MISSION, LEG, PART = (GoalID(bytes([number]) * 16) for number in (0xAA, 0xBB, 0xCC))
+
+
+async def drive(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+    yield f"at the {goal.request}"
+
+
+@asynccontextmanager
+async def fetched() -> AsyncGenerator[tuple[str, str, str], None]:
+    """Serve a mission that has driven twice; give its ID, and those of its children."""
+    ids: list[str] = []
+
+    async def fetch(goal: GoalHandle[str]) -> AsyncGenerator[int | str, None]:
+        for place in ("shelf", "dock"):
+            step = goal.step(f"to the {place}")
+            ids.append(str(step.child_id("drive")))
+            await ActionClient(drives, DRIVE).call(place, step=step)
+        yield "fetched"
+
+    async with (
+        ActionServer(DRIVE, drive) as drives,
+        ActionServer(FETCH, fetch) as fetches,
+        serve([drives, fetches], URL),
+    ):
+        goal = await ActionClient(fetches, FETCH).send_goal("cup")
+        await goal.result()
+        yield str(goal.goal_id), ids[0], ids[1]
+
+
+@pytest.mark.asyncio
+async def test_a_list_for_programs_has_the_parents_and_the_children(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with fetched() as (mission, shelf, dock):
+        await list_goals(URL, form=Form.JSON)
+
+    found = {
+        line["goal_id"]: line for line in map(json.loads, capsys.readouterr().out.split("\n")[:-1])
+    }
+    assert found[mission]["parent"] is None
+    assert found[mission]["children"] == [shelf, dock]
+    assert found[shelf]["parent"] == {"goal_id": mission, "step": "to the shelf"}
+    assert found[dock]["children"] == []
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("as_json", [False, True])
+async def test_attach_says_which_step_a_goal_is(
+    as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with fetched() as (mission, shelf, _):
+        await attach(URL, shelf, None, full=False, as_json=as_json)
+        await attach(URL, mission, None, full=False, as_json=as_json)
+
+    lines = capsys.readouterr().out.splitlines()
+    if as_json:
+        child, parent = (json.loads(line) for line in lines if "accepted" in line)
+        assert child["parent"] == {"goal_id": mission, "step": "to the shelf"}
+        assert "parent" not in parent
+    else:
+        at = lines.index(f"Goal accepted with ID: {shelf}")
+        assert lines[at + 1] == f"It is the step to the shelf of {mission}"
+        at = lines.index(f"Goal accepted with ID: {mission}")
+        assert lines[at + 1] == ""
+
+
+def test_a_step_without_a_name_is_one_all_the_same_and_none_controls_the_terminal() -> None:
+    assert step_of(Parent(MISSION), 8) == "step of aaaaaaaa"
+    assert step_of(Parent(MISSION, "a\x1b[2J"), 8) == "a\\x1b[2J of aaaaaaaa"
+
+
+def test_a_goal_may_be_a_step_and_have_children() -> None:
+    leg = GoalInfo(LEG, 2, GoalStatus.EXECUTING, parent=Parent(MISSION, "drive"))
+    family = Family([leg, GoalInfo(PART, 3, GoalStatus.EXECUTING, parent=Parent(LEG))])
+
+    assert family.text(leg, 4) == "drive of aaaa, 1 child"
+    assert not Family([GoalInfo(LEG, 2, GoalStatus.EXECUTING)])
+
+
+def snapshot(monitor: Monitor, goal_id: GoalID) -> GoalSnapshot:
+    found = monitor.find(goal_id)
+    assert found is not None
+    return found
+
+
+def test_the_details_of_a_goal_have_its_parent_and_its_children_with_their_states() -> None:
+    monitor = Monitor()
+    monitor.on_actions([ActionInfo("fetch"), ActionInfo("drive")], "")
+    monitor.on_event("fetch", GoalInfo(MISSION, 1, GoalStatus.EXECUTING))
+    monitor.on_event(
+        "drive", GoalInfo(LEG, 2, GoalStatus.SUCCEEDED, parent=Parent(MISSION, "shelf"))
+    )
+    monitor.on_event("drive", GoalInfo(PART, 3, GoalStatus.EXECUTING, parent=Parent(MISSION)))
+
+    assert family_of(monitor, snapshot(monitor, MISSION)).splitlines() == [
+        "Children:",
+        f"  shelf: {LEG}, /drive SUCCEEDED",
+        f"  step: {PART}, /drive EXECUTING",
+    ]
+    assert family_of(monitor, snapshot(monitor, LEG)) == (
+        f"Parent: shelf of {MISSION}, /fetch EXECUTING"
+    )
+    monitor.on_event("fetch", GoalInfo(MISSION, 0, GoalStatus.UNKNOWN))
+    assert family_of(monitor, snapshot(monitor, LEG)) == (
+        f"Parent: shelf of {MISSION}, of another server, or forgotten"
+    )
+    assert snapshot(monitor, LEG).key == GoalKey("drive", LEG)

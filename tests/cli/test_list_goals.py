@@ -8,6 +8,7 @@ import json
 import signal
 from collections.abc import AsyncGenerator, Callable
 from functools import partial
+from typing import Any
 
 import anyio
 import pytest
@@ -78,72 +79,48 @@ def test_active_goals_and_then_the_newest_are_chosen_and_stay_in_their_order() -
     assert GoalChoice().of(rows) == (rows, 0)
 
 
-def test_goals_lists_those_of_a_status(here: Run, url: str) -> None:
+def test_goals_are_found_by_what_they_are(here: Run, url: str) -> None:
     running = detached(here, url, "wait", "{seconds: 60, steps: 600}")
-    over = detached(here, url, "fibonacci", "order: 5")
-    active = here("goals", "--status", "ACTIVE", "--json", url=url)
-    ended_ones = here("goals", "--status", "succeeded", "--status", "aborted", "--json", url=url)
-
-    assert running in active.out
-    assert over not in active.out
-    assert over in ended_ones.out
-    assert running not in ended_ones.out
-    none = here("goals", "fibonacci", "--status", "canceling", "--status", "aborted", url=url)
-    assert none.err == "There are no canceling or aborted goals of /fibonacci.\n"
-
-
-def test_goals_are_searched_by_words_and_sorted_by_their_action(here: Run, url: str) -> None:
-    def found(words: str, *more: str) -> list[str]:
-        listed = here("goals", "--search", words, *more, "--json", url=url).json
-        return [goal["goal_id"] for goal in listed]
-
-    count = detached(here, url, "fibonacci", "order: 3")
-    pick = detached(here, url, "arm/pick", "object_name: cup")
-    assert found(f"PICK {pick[:12].upper()}") == [pick]
-    assert found(f"pick {count}") == []
-    ids = [one for one in found("succeeded", "--sort", "action") if one in (pick, count)]
-    assert ids == [pick, count]
-
-
-def test_goals_lists_those_of_a_span_of_time_and_of_several_actions(here: Run, url: str) -> None:
-    early = detached(here, url, "fibonacci", "order: 1")
-    late = detached(here, url, "arm/pick", "object_name: cup")
-    both = ("goals", "fibonacci", "arm/pick")
-    listed = here(*both, "--limit", "0", "--json", url=url).json
-    stamps = {goal["goal_id"]: goal["stamp"] for goal in listed}
-
-    def found(*options: str) -> list[str]:
-        chosen = here(*both, *options, "--limit", "0", "--json", url=url).json
-        return [goal["goal_id"] for goal in chosen if goal["goal_id"] in (early, late)]
-
-    assert found() == [early, late]
-    assert found("--since", str(stamps[early] + 1)) == [late]
-    assert found("--until", str(stamps[early])) == [early]
-    assert found("--since", "1h", "--client", "a client of another name") == []
-    assert found("--since", "1h", "--sort", "action") == [late, early]
-    names = {line.split()[1] for line in here(*both, url=url).lines[1:]}
-    assert names == {"/fibonacci", "/arm/pick"}
-    none = here(*both, "--until", "2026-01-31", url=url)
-    assert none.err == "There are no matching goals of /fibonacci or /arm/pick.\n"
-
-
-def test_goals_are_found_by_the_labels_with_which_they_were_sent(here: Run, url: str) -> None:
     labels = ("--label", "order=17", "--label", "note=by hand")
-    labeled = detached(here, url, "fibonacci", "order: 1", *labels)
+    count = detached(here, url, "fibonacci", "order: 1", *labels)
     other = detached(here, url, "fibonacci", "order: 1", "--label", "order=18")
+    pick = detached(here, url, "arm/pick", "object_name: cup")
+    mine = (running, count, other, pick)
+
+    def listed(*options: str) -> list[dict[str, Any]]:
+        goals = here("goals", *options, "--limit", "0", "--json", url=url).json
+        return [goal for goal in goals if goal["goal_id"] in mine]
 
     def found(*options: str) -> list[str]:
-        listed = here("goals", "fibonacci", *options, "--limit", "0", "--json", url=url).json
-        return [goal["goal_id"] for goal in listed if goal["goal_id"] in (labeled, other)]
+        return [goal["goal_id"] for goal in listed(*options)]
 
-    assert found() == [labeled, other]
-    assert found("--label", "order=17") == [labeled]
-    assert found("--label", "order=17", "--label", "note=by hand") == [labeled]
+    assert found() == [*mine]
+    assert found("--status", "ACTIVE") == [running]
+    assert found("--status", "succeeded", "--status", "aborted") == [count, other, pick]
+    assert found("--search", f"PICK {pick[:12].upper()}") == [pick]
+    assert found("--search", f"pick {count}") == []
+    assert found("--search", "succeeded", "--sort", "action") == [pick, count, other]
+    assert found("fibonacci", "--label", "order=17") == [count]
+    assert found("--label", "order=17", "--label", "note=by hand") == [count]
     assert found("--label", "order=18", "--label", "note=by hand") == []
-    *_, goal = here("goals", "--label", "note=by hand", "--json", url=url).json
+    [goal] = listed("--label", "note=by hand")
     assert goal["labels"] == {"order": "17", "note": "by hand"}
     heading, *_, cells = csv.reader(here("goals", "--label", "order=18", "--csv", url=url).lines)
     assert dict(zip(heading, cells, strict=True))["labels"] == '{"order":"18"}'
+    both = ("fibonacci", "arm/pick")
+    assert found(*both, "--since", str(goal["stamp"] + 1)) == [other, pick]
+    assert found(*both, "--until", str(goal["stamp"])) == [count]
+    assert found(*both, "--since", "1h", "--client", "a client of another name") == []
+    assert found(*both, "--since", "1h", "--sort", "action") == [pick, count, other]
+    names = {line.split()[1] for line in here("goals", *both, url=url).lines[1:]}
+    assert names == {"/fibonacci", "/arm/pick"}
+    for options, none in (
+        (("fibonacci", "--status", "canceling", "--status", "aborted"), "canceling or aborted"),
+        ((*both, "--until", "2026-01-31"), "matching"),
+    ):
+        of_names = "/fibonacci" if none != "matching" else "/fibonacci or /arm/pick"
+        err = here("goals", *options, url=url).err
+        assert err == f"There are no {none} goals of {of_names}.\n"
 
 
 def test_a_name_is_relative_to_the_namespace_unless_it_has_a_slash(here: Run, tcp: str) -> None:

@@ -15,24 +15,7 @@ from fibaction.cli.arguments.names import (
     no_namespace,
 )
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from tests.cli.conftest import Run
 from tests.cli.served import Served, counter
-
-
-@pytest.mark.parametrize(
-    "verb",
-    [
-        *(["type"], ["send_goal"], ["goals"], ["goals", "-w"], ["info"], ["echo"]),
-        *(["cancel", "--all"], ["cancel"], ["attach", "aa"]),
-    ],
-    ids=lambda verb: " ".join(verb),
-)
-def test_every_verb_suggests_the_near_name(here: Run, tcp: str, verb: list[str]) -> None:
-    rest = ["aa"] if verb == ["cancel"] else []
-    code, out, err = here(*verb, "fibonaci", *rest, url=tcp)
-
-    assert (code, out) == (ExitCode.UNREACHABLE, "")
-    assert err == "Error: the action /fibonaci is not served; did you mean /fibonacci?\n"
 
 
 @pytest.mark.parametrize(

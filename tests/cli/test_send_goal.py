@@ -20,6 +20,7 @@ from fibaction import (
     ActionServer,
     AuthenticationFailed,
     CancelAnswer,
+    CancelCode,
     GoalHandle,
     GoalID,
     GoalStatus,
@@ -43,7 +44,7 @@ from fibaction.testing import ScriptedServer
 from fibaction.types.action import Action
 from tests.cli.conftest import Invoke, Open, Robot, Run, Start, interrupt
 from tests.cli.robot import WAIT, Progress, Wait, Waited, wait
-from tests.cli.served import Altered
+from tests.cli.served import Altered, counter
 from tests.support.processes import ended, lines_until
 
 # As processes
@@ -227,14 +228,6 @@ def test_an_end_says_why(
     assert result.stderr == (late if code is ExitCode.TIMED_OUT else "")
 
 
-def test_a_goal_that_is_not_canceled_is_left_when_its_time_is_up(invoke: Invoke, tcp: str) -> None:
-    result = invoke("send_goal", "stubborn", "{seconds: 5}", "-t", "0.3", url=tcp)
-
-    assert result.exit_code == ExitCode.TIMED_OUT
-    assert "The server does not cancel it: it is never canceled\n" in result.stderr
-    assert result.stderr.endswith("was left, and may continue.\n")
-
-
 def test_a_server_that_is_silent_is_not_waited_for(invoke: Invoke) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
@@ -315,45 +308,31 @@ class Noting(Watcher):
         self.metas.append(dict(meta))
 
 
-def counting(noting: Noting) -> ScriptedServer[int, int, str]:
-    """Return a server whose goals are noted."""
-    server = ScriptedServer(Action("count", goal=int, feedback=int, result=str), ["there"])
-    server.watch_by([noting])
-    return server
-
-
 @pytest.mark.asyncio
-async def test_the_trace_of_the_environment_goes_with_the_goal(
+async def test_labels_go_with_the_goal_and_the_trace_of_the_environment_as_far_as_it_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    noting = Noting()
-    monkeypatch.setenv("TRACEPARENT", "00-1")
-    monkeypatch.setenv("BAGGAGE", "b=2")
-    async with serve(counting(noting), "inproc://keys"):
-        for detach in (False, True):
-            options = SendOptions(False, None, detach, as_json=True, full=False)
-            assert await send("inproc://keys", "count", "", "3", options) == ExitCode.SUCCEEDED
-
+    noting, url = Noting(), "inproc://labels"
     trace = {"traceparent": "00-1", "baggage": "b=2"}
-    assert noting.metas == [trace, {"detached": "1", **trace}]
-
-
-@pytest.mark.asyncio
-async def test_labels_go_with_the_goal_and_a_trace_as_far_as_it_fits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    noting = Noting()
-    monkeypatch.setenv("TRACEPARENT", "00-1")
+    for name, value in trace.items():
+        monkeypatch.setenv(name.upper(), value)
+    server = counter("count", *(["there"] for _ in range(4)))
+    server.watch_by([noting])
     many = tuple((f"label{number}", "") for number in range(8))
-    async with serve(counting(noting), "inproc://labels"):
-        for labels in ((("order", "17"),), many):
-            options = SendOptions(as_json=True, labels=labels)
-            assert await send("inproc://labels", "count", "", "3", options) == ExitCode.SUCCEEDED
+    async with serve(server, url):
+        for detach, labels in ((False, ()), (True, ()), (False, (("order", "17"),)), (False, many)):
+            options = SendOptions(detach=detach, as_json=True, labels=labels)
+            assert await send(url, "count", "", "3", options) == ExitCode.SUCCEEDED
         too_many = SendOptions(as_json=True, labels=(*many, ("order", "17")))
         with pytest.raises(InvalidMessage, match="9 keys, and 8 are the limit"):
-            await send("inproc://labels", "count", "", "3", too_many)
+            await send(url, "count", "", "3", too_many)
 
-    assert noting.metas == [{"order": "17", "traceparent": "00-1"}, dict(many)]
+    assert noting.metas == [
+        trace,
+        {"detached": "1", **trace},
+        {"order": "17", **trace},
+        dict(many),
+    ]
 
 
 class Errand(msgspec.Struct):
@@ -550,6 +529,10 @@ async def silent(*_: object) -> None:
     await anyio.sleep_forever()
 
 
+async def refused(*_: object) -> CancelAnswer:
+    return CancelAnswer(CancelCode.REJECTED)
+
+
 async def lost(*_: object, **__: object) -> None:
     raise ServerNotFound(
         "no server listens: start the server, or wait for it with wait_for_server()"
@@ -562,6 +545,7 @@ async def lost(*_: object, **__: object) -> None:
     [
         ({}, "was left, and may continue.\n"),  # the goal does not end
         ({"cancel_goals": silent}, "was left, and may continue.\n"),
+        ({"cancel_goals": refused}, "The server does not cancel it: it does not say why\n"),
         ({"cancel_goals": lost}, "It could not be canceled: no server listens: start the server\n"),
     ],
 )
@@ -576,7 +560,9 @@ async def test_a_goal_that_cannot_be_canceled_is_left_when_its_time_is_up(
         code = await send_here(timeout=0.1, cancel=0.05)
 
     assert code == ExitCode.TIMED_OUT
-    assert text in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert text in said
+    assert said.endswith("was left, and may continue.\n")
 
 
 @pytest.mark.asyncio

@@ -145,14 +145,13 @@ def test_reload_is_another_process(invoke: Invoke, monkeypatch: pytest.MonkeyPat
     assert invoke(*command, url="tcp://b").exit_code == 0
     assert invoke(*command, "--store", "goals.db", url="tcp://b").exit_code == 0
     common = ("robot:server", ("unix:///a",), "tcp://b")
-    kept = ("--store", os.path.abspath("goals.db"), "--sync", "full")
+    kept = [f"--store={os.path.abspath('goals.db')}", "--sync=full"]
     past = (*command, "--store", "goals.db", "--history", "0.5")
     assert invoke(*past, url="tcp://b").exit_code == 0
-    more: tuple[str, ...] = ("--drain", "9.0", "--log-json", "--metrics", ":0")
-    more += ("--record", os.path.abspath("a.jsonl"))
+    more = ("--drain", "9", "--log-json", "--metrics", ":0", "--record", "a.jsonl")
     assert invoke(*command, *more, url="tcp://b").exit_code == 0
-    with_past = (*kept, "--history", "0.5")
-    given = ((), 0), (kept, 0), (with_past, 0), (more, 9)
+    others = ["--drain=9.0", "--metrics=:0", f"--record={os.path.abspath('a.jsonl')}", "--log-json"]
+    given = (kept[:0], 0), (kept, 0), ([*kept, "--history=0.5"], 0), (others, 9)
     assert asked == [(*common, options, drain) for options, drain in given]
 
 

@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import termios
+import threading
 import tty
 from signal import SIGINT, SIGTERM
+from typing import Any
 
 import anyio
 import anyio.lowlevel
@@ -17,6 +19,7 @@ import pytest
 
 from fibaction.cli.process import signals
 from fibaction.cli.process.exit_codes import ExitCode
+from fibaction.cli.process.signals import MOST_WAITING_SIGNALS, LastSeconds, ReceivedSignals
 from tests.support.processes import PATIENCE, ended, lines_until
 
 
@@ -220,3 +223,87 @@ async def test_without_a_timer_of_signals_the_next_one_ends_what_computes(
         signal.raise_signal(SIGINT)  # the one before was not taken
 
     assert codes == [ExitCode.INTERRUPTED]
+
+
+@pytest.fixture(params=["as Unix", "as Windows"])
+def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The event loop has a receiver of signals, or has none."""
+
+    def not_there(*_: object) -> Any:
+        raise NotImplementedError
+
+    if request.param == "as Windows":
+        monkeypatch.setattr("anyio.open_signal_receiver", not_there)
+
+
+@pytest.mark.asyncio
+@pytest.mark.usefixtures("system")
+async def test_each_signal_is_received_and_its_handler_is_called_at_once() -> None:
+    told: list[int] = []
+    received = ReceivedSignals(lambda number, _: told.append(number))
+    with anyio.fail_after(PATIENCE), received:
+        for number in (SIGINT, SIGTERM):
+            signal.raise_signal(number)
+            assert told[-1] == number  # before the event loop has its turn
+            await received.next()
+
+    assert told == [SIGINT, SIGTERM]
+
+
+@pytest.mark.asyncio
+async def test_signals_that_nothing_takes_need_no_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    def not_there(*_: object) -> Any:
+        raise NotImplementedError
+
+    monkeypatch.setattr("anyio.open_signal_receiver", not_there)
+    told: list[int] = []
+    received = ReceivedSignals(lambda number, _: told.append(number))
+    with received:
+        for _ in range(MOST_WAITING_SIGNALS + 3):
+            signal.raise_signal(SIGINT)
+        await anyio.wait_all_tasks_blocked()
+        for _ in range(MOST_WAITING_SIGNALS):
+            await received.next()
+        with anyio.move_on_after(0) as none_left:
+            await received.next()
+
+    assert none_left.cancelled_caught
+    assert len(told) == MOST_WAITING_SIGNALS + 3
+
+
+@pytest.fixture
+def ends(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The exit codes of this process, if it ended."""
+    codes: list[int] = []
+    monkeypatch.setattr(os, "_exit", codes.append)
+    monkeypatch.setattr("logging.shutdown", lambda: None)
+    return codes
+
+
+def test_a_process_without_threads_of_its_own_ends_by_itself(ends: list[int]) -> None:
+    with LastSeconds(60, 3) as last:
+        last.begin()
+    last._timer.join()
+    assert ends == []
+
+
+def test_a_block_that_takes_too_long_is_the_end(ends: list[int]) -> None:
+    with LastSeconds(0.01, 3) as last:
+        last.begin()
+        last._timer.join()
+        assert ends == [3]
+
+
+def test_a_thread_that_does_not_end_is_not_waited_for(
+    ends: list[int], caplog: pytest.LogCaptureFixture
+) -> None:
+    go = threading.Event()
+    thread = threading.Thread(target=go.wait)
+    with LastSeconds(0.01, 3) as last:
+        thread.start()
+        last.begin()
+    last._timer.join()
+    go.set()
+    thread.join()
+    assert ends == [3]
+    assert "without its threads" in caplog.text

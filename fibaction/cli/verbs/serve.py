@@ -126,13 +126,14 @@ def serve_command(
         store = os.path.abspath(store)  # the module may change the folder when it is imported
     with log_with_time(as_json=log_json):
         if reload:
-            options: tuple[str, ...] = () if store is None else ("--store", store, "--sync", sync)
-            options += () if history is None else ("--history", str(history))
-            options += ("--drain", str(drain)) if drain else ()
-            options += ("--log-json",) if log_json else ()
-            options += () if metrics is None else ("--metrics", metrics)
-            options += () if record is None else ("--record", record)
-            run_reloading(target, urls, url_of(context), options, drain)
+            options = {
+                **{"--store": store, "--sync": None if store is None else sync},
+                **{"--history": history, "--drain": drain or None, "--metrics": metrics},
+                "--record": record,
+            }
+            given = [f"{name}={value}" for name, value in options.items() if value is not None]
+            given += ["--log-json"] if log_json else []
+            run_reloading(target, urls, url_of(context), given, drain)
         else:
             with started_by(parent):
                 same = None if parent is None else SAME_STOP

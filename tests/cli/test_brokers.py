@@ -1,4 +1,4 @@
-"""`broker`: with the real nats-server as a process, and with programs that only look like one."""
+"""`broker` and `router`: as processes, and with programs that only look like a nats-server."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs import run_broker
+from fibaction.cli.verbs import brokers
 from tests.cli.conftest import Invoke, Run, Start
 from tests.support.nats_server import IS_LEFT_OUT
+from tests.support.ports import free_port
 from tests.support.processes import ended, lines_until
 
 needs_program = pytest.mark.skipif(
@@ -140,7 +141,7 @@ def test_it_says_where_it_is_and_what_troubles_it(
 def test_one_that_does_not_stop_is_killed(
     invoke: Invoke, program: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_broker, "STOP_TIMEOUT", 0.2)
+    monkeypatch.setattr(brokers, "STOP_TIMEOUT", 0.2)
     program('trap "" TERM\nkill -TERM $PPID\nexec sleep 60')
 
     assert invoke("broker").exit_code == 0
@@ -171,7 +172,7 @@ def test_one_that_cannot_be_followed_is_killed(
     def fails(text: str) -> str:
         raise RuntimeError(text)
 
-    monkeypatch.setattr(run_broker, "_explained", fails)
+    monkeypatch.setattr(brokers, "_explained", fails)
     program('echo "[1] [ERR] $$" >&2\nexec sleep 60')
     with pytest.raises(RuntimeError) as caught:
         invoke("broker")
@@ -201,29 +202,25 @@ def test_windows_locks_the_folder_by_a_call_of_its_own(
     windows.locking = lambda _file, mode, size: asked.append((mode, size))
     monkeypatch.setitem(sys.modules, "fcntl", None)
     monkeypatch.setitem(sys.modules, "msvcrt", windows)
-    with run_broker.locked(tmp_path):
+    with brokers.locked(tmp_path):
         assert asked == [(2, 1)]
 
 
-@pytest.mark.parametrize("version", ["2.9.10", "2.10.29"])
-def test_a_version_that_is_too_old_is_one_sentence(
-    invoke: Invoke, program: Any, version: str
+@pytest.mark.parametrize(
+    ("says", "is_it"),
+    [("nats-server: v2.9.10", "v2.9.10"), ("v2.10.29", "v2.10.29"), ("hi", "of no known version")],
+)
+def test_a_program_that_is_too_old_or_something_else_is_one_sentence(
+    invoke: Invoke, program: Any, says: str, is_it: str
 ) -> None:
-    path = program("exit 1", f"nats-server: v{version}")
+    path = program("exit 1", says)
     done = invoke("broker")
 
     assert done.exit_code == 2
     assert done.output == (
-        f"Error: {path} is v{version}, and a fleet needs 2.11 or later: pip install"
+        f"Error: {path} is {is_it}, and a fleet needs 2.11 or later: pip install"
         " 'fibaction[broker]' brings one\n"
     )
-
-
-def test_a_program_that_is_something_else_is_one_sentence(invoke: Invoke, program: Any) -> None:
-    path = program("exit 1", "hello")
-    done = invoke("broker")
-    assert f"{path} is of no known version" in done.output
-
     path.write_text("no program")
     done = invoke("broker")
     assert done.exit_code == 2
@@ -249,7 +246,7 @@ def test_a_program_on_path_is_found(
     monkeypatch.setattr(sys, "executable", str(tmp_path / "elsewhere" / "python"))
     monkeypatch.setenv("PATH", str(path.parent))
 
-    assert run_broker.find_program() == str(path)
+    assert brokers.find_program() == str(path)
 
 
 def test_a_folder_that_cannot_be_used_is_one_sentence(
@@ -261,3 +258,52 @@ def test_a_folder_that_cannot_be_used_is_one_sentence(
 
     assert done.exit_code == 2
     assert done.output == f"Error: --data {tmp_path}/file/data cannot be used: Not a directory\n"
+
+
+NOT_HERE = "192.0.2.1"
+"""An address for documentation, which no machine has."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_router_listens_here_until_a_signal_comes(started: Start, number: signal.Signals) -> None:
+    port = free_port()
+    process = started("router", "--port", str(port))
+    assert lines_until("router", process) == [f"router at tcp/localhost:{port}, Ctrl-C stops it\n"]
+    socket.create_connection(("localhost", port), timeout=5).close()
+    process.send_signal(number)
+
+    assert ended(process) == (0, "", "")
+
+
+def test_a_port_in_use_and_an_address_elsewhere_are_one_sentence(here: Run) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = str(other.getsockname()[1])
+        taken = here("router", "--host", "127.0.0.1", "--port", port)
+    elsewhere = here("router", "--host", NOT_HERE, "--port", port)
+
+    assert (taken.code, taken.out) == (2, "")
+    assert taken.err == (
+        f"Error: the router cannot listen at tcp/127.0.0.1:{port}, which is in use: another router"
+        " may be running there, or give --port\n"
+    )
+    assert (elsewhere.code, elsewhere.out) == (2, "")
+    assert elsewhere.err.startswith(f"Error: the router cannot listen at tcp/{NOT_HERE}:{port}: ")
+    assert elsewhere.err.count("\n") == 1
+    assert ".rs" not in elsewhere.err
+
+
+def test_an_address_of_ipv6_has_brackets_in_its_locator(
+    here: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def say_and_stop(text: str) -> None:
+        said.append(text)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(brokers, "say", say_and_stop)
+    ports = free_port(), free_port()
+    for host, port in zip(("::1", "[::1]"), ports, strict=True):
+        assert here("router", "--host", host, "--port", str(port)) == (0, "", "")
+
+    assert said == [f"router at tcp/[::1]:{port}, Ctrl-C stops it" for port in ports]

@@ -1,4 +1,4 @@
-"""`fibaction broker`: a broker for a fleet on this machine, which is a `nats-server`."""
+"""`fibaction broker` and `router`: a `nats-server` for a fleet, and a router of Zenoh."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from typing import Any
 
 import anyio
 import click
+from anyio import to_thread
 from anyio.abc import Process
 from anyio.streams.text import TextReceiveStream
 
 from fibaction._runtime.log import clean_logger
+from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import say
-from fibaction.cli.process.exit_codes import ExitCode, Failure, run
+from fibaction.cli.process.exit_codes import ExitCode, Failure, check_installed, run
 from fibaction.cli.process.signals import stop_signals
 
-HOST, PORT = "127.0.0.1", 4222
+BROKER_HOST, BROKER_PORT = "127.0.0.1", 4222
 DATA = ".fibaction/nats"
 PROGRAM = "nats-server"
 LEAST_VERSION = (2, 11)
@@ -51,7 +53,7 @@ Examples:
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
-    default=PORT,
+    default=BROKER_PORT,
     show_default=True,
     help="The port; 0 for a free one.",
 )
@@ -167,7 +169,7 @@ def settings(port: int, folder: Path) -> str:
     Its own ping of 2 minutes would let a frozen worker look alive for as long.
     """
     return f"""\
-listen: "{HOST}:{port or -1}"
+listen: "{BROKER_HOST}:{port or -1}"
 jetstream {{
     store_dir: {json.dumps(str(folder), ensure_ascii=False)}
     sync_interval: always
@@ -280,3 +282,75 @@ async def _lines(process: Process) -> AsyncIterator[str]:
             yield line
     if rest:
         yield rest
+
+
+ROUTER_HOST, ROUTER_PORT = "localhost", 7447
+
+
+@click.command(
+    "router",
+    epilog="""\b
+Examples:
+  fibaction router
+  fibaction serve robot:server zenoh://
+  fibaction list -u zenoh://""",
+)
+@click.option(
+    "--host",
+    default=ROUTER_HOST,
+    show_default=True,
+    help="The address to listen at; 0.0.0.0 lets every machine of the network in.",
+)
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=ROUTER_PORT,
+    show_default=True,
+    help="The port.",
+)
+def router_command(host: str, port: int) -> None:
+    """Run a router of Zenoh, which nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp need.
+
+    Use it for tests and a first try without ROS. Everyone who can reach it can serve and
+    call every action.
+
+    Ctrl-C or SIGTERM stops it. Peers that know each other continue without it.
+    """
+    check_installed("zenoh", "fibaction router", "zenoh")
+    bare = host.strip("[]")
+    run(run_router, f"tcp/[{bare}]:{port}" if ":" in bare else f"tcp/{bare}:{port}")
+
+
+async def run_router(locator: str) -> int:
+    """Run a router until a signal comes.
+
+    Raises:
+        Failure: It cannot listen there.
+    """
+    zenoh: Any = import_module("zenoh")  # its stub leaves out what returns nothing
+
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "router",
+        "listen/endpoints": [locator],
+        "scouting/multicast/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    async with stop_signals() as stop:
+        try:
+            session = await to_thread.run_sync(zenoh.open, config)
+        except zenoh.ZError as exc:
+            raise Failure(f"the router cannot listen at {_why(locator, str(exc))}") from exc
+        try:
+            say(f"router at {locator}, Ctrl-C stops it")
+            await stop.wait()
+        finally:
+            await to_thread.run_sync(session.close)
+    return ExitCode.SUCCEEDED
+
+
+def _why(locator: str, text: str) -> str:
+    """Return a locator with the reason, without the places in the source of Zenoh."""
+    if "in use" in text:
+        return f"{locator}, which is in use: another router may be running there, or give --port"
+    return f"{locator}: {excerpt(text.partition(' at /')[0])}"
