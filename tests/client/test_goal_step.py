@@ -19,8 +19,9 @@ from fibaction import (
     Outcome,
 )
 from fibaction.border.abc import ForwardingEndpoint, GoalStream
-from fibaction.testing.contract.test_children import MISSION, Held, Mission, Steps
+from fibaction.testing.contract.test_children import MISSION, Items, Mission
 from fibaction.words.goal_steps import GoalStep, GoalSteps
+from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
 from tests.support.matching import End
 from tests.support.memory_store import MemoryStore
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.anyio
 async def reason_of(mission: object, arm_server: Endpoint) -> str:
     """Run a mission with an arm, and return the reason of its abort."""
 
-    async def run(goal: GoalHandle[int]) -> Steps:
+    async def run(goal: GoalHandle[int]) -> Items:
         await mission(goal, ActionClient(arm_server, FIBONACCI))  # type: ignore[operator]  # a test's own
         yield [0]
 
@@ -87,17 +88,15 @@ async def test_a_step_whose_connection_was_lost_is_taken_again_and_runs_once() -
             await arm.call(Goal(1), timeout=60, step=goal.step("pick"))
         await arm.call(Goal(1), timeout=60, step=goal.step("pick"))
 
-    child = Held()
-    child.go.set()
+    child = Steps(go=True)
     async with ActionServer(FIBONACCI, child) as server:
         assert await reason_of(again, Losing(server)) == ""
-    assert len(child.ids) == 1
+    assert child.runs.total() == 1
 
 
 async def test_a_cancel_after_a_planned_stop_has_interrupted_reaches_the_child() -> None:
-    child, store = Held(), MemoryStore()
+    child, store = Steps(), MemoryStore()
     interrupted, cleaned = anyio.Event(), anyio.Event()
-    child.clean.set()
 
     async def mission(goal: GoalHandle[int]) -> AsyncGenerator[int | list[int], None]:
         try:
@@ -119,21 +118,20 @@ async def test_a_cancel_after_a_planned_stop_has_interrupted_reaches_the_child()
             assert (await goal.cancel()).accepted
             cleaned.set()
             assert (await goal.outcome()).status is GoalStatus.CANCELED
-        assert (await arm.get_result(child.ids[0])).status is GoalStatus.CANCELED
+        assert (await arm.get_result(next(iter(child.runs)))).status is GoalStatus.CANCELED
 
 
 async def test_a_timeout_inside_an_executor_cancels_the_child_and_waits_for_its_end() -> None:
-    child = Held()
-    child.clean.set()
+    child = Steps()
 
-    async def mission(goal: GoalHandle[int]) -> Steps:
+    async def mission(goal: GoalHandle[int]) -> Items:
         step = goal.step("pick", wait_for_end=True)
         with anyio.CancelScope() as scope:
             async with ActionClient(arm, FIBONACCI).send_goal(Goal(1), step=step):
                 await child.began.wait()
                 scope.cancel()
                 await anyio.sleep_forever()
-        outcome = await arm.get_result(child.ids[0])
+        outcome = await arm.get_result(next(iter(child.runs)))
         yield [outcome.status]
 
     async with ActionServer(FIBONACCI, child) as arm, ActionServer(MISSION, mission) as server:

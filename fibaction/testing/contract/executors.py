@@ -38,6 +38,8 @@ class Steps:
         self.yielded = 0
         self.ended_as: list[GoalStatus] = []
         self.began, self.canceled, self.go = anyio.Event(), anyio.Event(), anyio.Event()
+        self.clean: anyio.Event | None = None
+        """The event that its clean-up waits for, if there is one."""
         if go:
             self.go.set()
 
@@ -51,6 +53,8 @@ class Steps:
             await self.go.wait()
         except anyio.get_cancelled_exc_class():
             self.canceled.set()
+            if self.clean is not None:
+                await self.clean.wait()
             raise
         finally:
             self.ended_as.append(goal.status)

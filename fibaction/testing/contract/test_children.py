@@ -14,12 +14,12 @@ from fibaction import (
     ActionClient,
     ActionServer,
     GoalHandle,
-    GoalID,
     GoalInfo,
     GoalStatus,
     Parent,
     SqliteStore,
 )
+from fibaction.testing.contract.executors import Steps
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
@@ -29,27 +29,8 @@ from fibaction.words.goals import child_id
 pytestmark = pytest.mark.anyio
 
 MISSION = Action("mission", goal=int, feedback=int, result=list[int])
-Steps: TypeAlias = AsyncGenerator[int | list[int], None]
+Items: TypeAlias = AsyncGenerator[int | list[int], None]
 Arm: TypeAlias = ActionClient[Goal, Feedback, Result]
-
-
-class Held:
-    """The executor of a child: it says that it has begun, and waits until it is let go."""
-
-    def __init__(self) -> None:
-        self.began, self.go, self.clean = anyio.Event(), anyio.Event(), anyio.Event()
-        self.ids: list[GoalID] = []
-
-    async def __call__(self, goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        self.ids.append(goal.goal_id)
-        self.began.set()
-        try:
-            yield Feedback([goal.request.order])
-            await self.go.wait()
-        except anyio.get_cancelled_exc_class():
-            await self.clean.wait()
-            raise
-        yield Result([goal.request.order])
 
 
 class Mission:
@@ -60,7 +41,7 @@ class Mission:
         self.kept: list[bool] = []
         """Whether the goal was kept, for each interruption."""
 
-    async def __call__(self, goal: GoalHandle[int]) -> Steps:
+    async def __call__(self, goal: GoalHandle[int]) -> Items:
         step = goal.step("pick", wait_for_end=self._wait_for_end)
         try:
             async with self._arm.send_goal(Goal(goal.request), step=step) as picking:
@@ -75,7 +56,8 @@ class Mission:
 
 @pytest.mark.promise("CHILD-1", "CHILD-2")
 async def test_a_cancel_of_a_parent_reaches_its_child_and_waits_for_its_end(reach: Reach) -> None:
-    child = Held()
+    child = Steps()
+    child.clean = anyio.Event()
     async with reach(ActionServer(FIBONACCI, child)) as arm:
         mission = Mission(arm, wait_for_end=True)
         async with ActionServer(MISSION, mission) as server:
@@ -92,7 +74,7 @@ async def test_a_cancel_of_a_parent_reaches_its_child_and_waits_for_its_end(reac
             assert (await goal.outcome()).status is GoalStatus.CANCELED
             assert (await follower.outcome()).status is GoalStatus.CANCELED
 
-    assert child.ids == [expected]
+    assert child.runs == {expected: 1}
     assert mission.kept == [False]
 
 
@@ -100,7 +82,7 @@ async def test_a_cancel_of_a_parent_reaches_its_child_and_waits_for_its_end(reac
 async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(
     reach: Reach, tmp_path: Path
 ) -> None:
-    child, store = Held(), SqliteStore(tmp_path / "goals.db", sync="normal")
+    child, store = Steps(), SqliteStore(tmp_path / "goals.db", sync="normal")
     async with reach(ActionServer(FIBONACCI, child)) as arm:
         mission = Mission(arm)
         async with ActionServer(MISSION, mission, store=store, at_stop="keep") as server:
@@ -114,18 +96,18 @@ async def test_a_planned_stop_leaves_a_child_and_the_next_attempt_follows_it(
             assert await again.outcome() == End(GoalStatus.SUCCEEDED, [7])
             assert again.attempt == 2
 
-    assert child.ids == [child_id(goal.goal_id, "fibonacci", "pick")]
+    assert child.runs == {child_id(goal.goal_id, "fibonacci", "pick"): 1}
 
 
 @pytest.mark.promise("CHILD-1")
 async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(
     reach: Reach, tmp_path: Path
 ) -> None:
-    child, store = Held(), SqliteStore(tmp_path / "goals.db", sync="normal")
+    child, store = Steps(), SqliteStore(tmp_path / "goals.db", sync="normal")
     child.go.set()
     between = anyio.Event()
 
-    async def mission(goal: GoalHandle[int]) -> Steps:
+    async def mission(goal: GoalHandle[int]) -> Items:
         result = await arm.call(Goal(goal.request), step=goal.step("pick"))
         yield goal.attempt
         await between.wait()
@@ -140,13 +122,12 @@ async def test_a_child_that_ended_before_the_next_attempt_is_not_sent_again(
             again = await ActionClient(server, MISSION).attach(goal.goal_id)
             assert await again.result() == [7]
 
-    assert len(child.ids) == 1
+    assert child.runs.total() == 1
 
 
 @pytest.mark.promise("ACCEPT-16")
 async def test_the_meta_of_a_child_names_its_parent(reach: Reach) -> None:
-    child, metas = Held(), Metas()
-    child.go.set()
+    child, metas = Steps(go=True), Metas()
     async with reach(ActionServer(FIBONACCI, child, watchers=[metas])) as arm:
         async with ActionServer(MISSION, Mission(arm)) as server:
             goal = await ActionClient(server, MISSION).send_goal(7)
@@ -159,8 +140,7 @@ async def test_the_meta_of_a_child_names_its_parent(reach: Reach) -> None:
 async def test_lists_and_followers_are_told_the_parent_of_a_child_also_after_its_end(
     reach: Reach,
 ) -> None:
-    child = Held()
-    child.clean.set()
+    child = Steps()
     async with reach(ActionServer(FIBONACCI, child)) as arm, arm.events() as events:
         own = await arm.send_goal(Goal(1))
         async with ActionServer(MISSION, Mission(arm)) as server:

@@ -23,18 +23,12 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
-from fibaction.testing.contract.executors import Form, Items, next_with
+from fibaction.testing.contract.executors import Form, Items, Steps, next_with
 from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach, running
 
 pytestmark = pytest.mark.anyio
-
-
-async def forever(goal: GoalHandle[Goal]) -> Items:
-    yield Feedback([1])
-    await anyio.sleep_forever()
-    yield Result([])
 
 
 @pytest.mark.promise("RESULT-2")
@@ -101,14 +95,9 @@ async def test_a_result_is_forgotten_when_its_time_is_over(reach: Reach) -> None
 async def test_without_a_result_timeout_the_waiting_clients_are_answered_all_the_same(
     reach: Reach,
 ) -> None:
-    go = anyio.Event()
-
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        await go.wait()
-        yield Result([5])
-
-    async with reach(ActionServer(FIBONACCI, waits, result_timeout=0)) as client:
-        goal = await client.send_goal(Goal(1))
+    steps = Steps()
+    async with reach(ActionServer(FIBONACCI, steps, result_timeout=0)) as client:
+        goal = await client.send_goal(Goal(5))
         follower = await client.attach(goal.goal_id)
         results: list[Result] = []
 
@@ -118,7 +107,7 @@ async def test_without_a_result_timeout_the_waiting_clients_are_answered_all_the
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(wait)
             await anyio.wait_all_tasks_blocked()
-            go.set()
+            steps.go.set()
         assert results == [await goal.result()] == [Result([5])]
         with pytest.raises(UnknownGoal):
             await client.attach(goal.goal_id)
@@ -154,17 +143,12 @@ async def test_no_more_results_are_kept_than_asked_for(reach: Reach) -> None:
 async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
     reach: Reach,
 ) -> None:
-    go = anyio.Event()
-
-    async def waits(goal: GoalHandle[Goal]) -> Items:
-        await go.wait()
-        yield Result([5])
-
-    async with reach(ActionServer(FIBONACCI, waits, result_timeout=0)) as client:
-        goal = await client.send_goal(Goal(1))
+    steps = Steps()
+    async with reach(ActionServer(FIBONACCI, steps, result_timeout=0)) as client:
+        goal = await client.send_goal(Goal(5))
         follower = await client.attach(goal.goal_id)
         with await client.endpoint.status() as statuses:
-            go.set()
+            steps.go.set()
             await next_with(statuses, GoalStatus.UNKNOWN)
         # Over ROS the result may come behind that, and whoever attaches until then has it, too.
         for told in (goal, follower):
@@ -175,7 +159,7 @@ async def test_an_attached_client_of_a_goal_that_is_forgotten_meanwhile_is_told(
 
 @pytest.mark.promise("STATUS-3", "STATUS-7")
 async def test_every_change_of_a_status_is_told_in_order_along_legal_edges(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, forever)) as client:
+    async with reach(ActionServer(FIBONACCI, Steps())) as client:
         before = await client.send_goal(Goal(1))
         with await client.endpoint.status() as statuses:
             first = await statuses.receive()
@@ -197,7 +181,7 @@ async def test_every_change_of_a_status_is_told_in_order_along_legal_edges(reach
 
 @pytest.mark.promise("STATUS-7")
 async def test_followers_of_the_statuses_come_and_go_by_themselves(reach: Reach) -> None:
-    async with reach(ActionServer(FIBONACCI, forever)) as client:
+    async with reach(ActionServer(FIBONACCI, Steps())) as client:
         with await client.endpoint.status() as first:
             goal = await client.send_goal(Goal(1))
             with await client.endpoint.status() as second:

@@ -20,7 +20,6 @@ from tests.tools.benchmarks.regression import (
 )
 
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git has the commits")
-CHANGE = Change("aaaaaaa", "ccccccc", ["ccccccc Wait", "bbbbbbb Speak"])
 
 
 class Scripted:
