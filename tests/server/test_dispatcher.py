@@ -174,9 +174,6 @@ async def test_a_goal_whose_client_has_given_it_up_meanwhile_is_skipped_if_so_to
     assert arm.begun == ([1, 3] if skips else [1, 2, 3])
 
 
-# Places, for observers
-
-
 # Functions that fail
 
 

@@ -54,20 +54,7 @@ async def attached(server: Server, number: int = 1) -> ClientGoal[int, str]:
     return await client_of(server).attach(id_of(number))
 
 
-# Settings
-
-
-async def test_settings_that_cannot_be_used_are_rejected() -> None:
-    with pytest.raises(ValueError, match="recovery must be 'abort', 'rerun' or a function"):
-        ActionServer(PAINT, paint, recovery="again")  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(ValueError, match="max_attempts must be at least 1, not 0"):
-        ActionServer(PAINT, paint, max_attempts=0)
-    with pytest.raises(ValueError, match="at_stop must be 'abort' or 'keep', not 'run'"):
-        ActionServer(PAINT, paint, at_stop="run")  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(ValueError, match="unreadable must be 'refuse' or 'abort', not 'run'"):
-        ActionServer(PAINT, paint, unreadable="run")  # type: ignore[arg-type]  # wrong on purpose
-    with pytest.raises(TypeError, match="store must be a GoalStore, such as SqliteStore"):
-        ActionServer(PAINT, paint, store="goals.db")  # type: ignore[arg-type]  # wrong on purpose
+# A store that is missing
 
 
 async def test_a_store_is_given_once_and_before_the_start() -> None:

@@ -39,14 +39,6 @@ async def client_of(
             yield ActionClient(server, function)
 
 
-async def feedback_of(function: Any, goal: int = 3, *, window: int = 64) -> list[int]:
-    """Return the feedback of a goal that succeeds."""
-    found: list[int] = []
-    async with client_of(function, window=window) as client:
-        assert await client.call(goal, on_feedback=found.append) == "done"
-    return found
-
-
 @pytest.mark.parametrize("window", [1, 2, 64])
 async def test_reports_of_several_tasks_come_one_after_another_and_none_is_lost(
     window: int,
@@ -62,7 +54,9 @@ async def test_reports_of_several_tasks_come_one_after_another_and_none_is_lost(
                 tasks.start_soon(part, first)
         return "done"
 
-    found = await feedback_of(count, 4, window=window)
+    found: list[int] = []
+    async with client_of(count, window=window) as client:
+        assert await client.call(4, on_feedback=found.append) == "done"
     assert sorted(found) == [*range(40)]
     for first in range(4):
         assert [number for number in found if number % 4 == first] == [*range(first, 40, 4)]

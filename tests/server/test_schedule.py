@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from fibaction import ActionServer, Schedule
-from tests.support.fibonacci import FIBONACCI, Goal, fibonacci
+from fibaction import Schedule
+from tests.support.fibonacci import Goal
 
 WORDS = "when_full must be 'reject', 'preempt' or 'replace', not "
 
@@ -90,9 +90,3 @@ def test_a_value_out_of_range_is_rejected_with_what_to_do(settings: Any, text: s
 def test_a_value_of_another_type_is_rejected_with_what_to_do(settings: Any, text: str) -> None:
     with pytest.raises(TypeError, match=f"^{re.escape(text)}$"):
         Schedule(**settings)
-
-
-def test_a_server_takes_no_other_object_for_a_schedule() -> None:
-    rules: Any = {"concurrency": 1}
-    with pytest.raises(TypeError, match=re.escape(f"schedule must be a Schedule, not {rules}")):
-        ActionServer(FIBONACCI, fibonacci, schedule=rules)

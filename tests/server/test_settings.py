@@ -37,6 +37,10 @@ pytestmark = pytest.mark.anyio
         ({"shutdown_timeout": -1}, "shutdown_timeout must be 0 or more, not -1"),
         ({"watchdog": -1}, "watchdog must be 0 or more, not -1"),
         ({"watchdog": math.nan}, "watchdog must be 0 or more, not nan"),
+        ({"recovery": "again"}, "recovery must be 'abort', 'rerun' or a function, not 'again'"),
+        ({"max_attempts": 0}, "max_attempts must be at least 1, not 0"),
+        ({"at_stop": "run"}, "at_stop must be 'abort' or 'keep', not 'run'"),
+        ({"unreadable": "run"}, "unreadable must be 'refuse' or 'abort', not 'run'"),
     ],
 )
 def test_an_option_out_of_range_is_rejected_at_once(options: Any, text: str) -> None:
@@ -117,10 +121,17 @@ def test_arguments_in_the_wrong_order_are_told_in_one_sentence(first: Any, hint:
         ActionServer(first, cast("Any", FIBONACCI))
 
 
-def test_a_setting_that_is_text_is_told_in_one_sentence() -> None:
-    text: Any = "5"
-    with pytest.raises(TypeError, match="shutdown_timeout must be a number, not '5'"):
-        ActionServer(FIBONACCI, fibonacci, shutdown_timeout=text)
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"shutdown_timeout": "5"}, "shutdown_timeout must be a number, not '5'"),
+        ({"store": "goals.db"}, "store must be a GoalStore, such as SqliteStore"),
+        ({"schedule": {"total": 1}}, "schedule must be a Schedule, not {'total': 1}"),
+    ],
+)
+def test_a_setting_of_another_type_is_told_in_one_sentence(options: Any, text: str) -> None:
+    with pytest.raises(TypeError, match=text):
+        ActionServer(FIBONACCI, fibonacci, **options)
 
 
 @pytest.mark.parametrize("executor", [3, "fibonacci", Goal(1)])

@@ -28,6 +28,15 @@ from fibaction.words.goal_query import PastPage
 pytestmark = pytest.mark.anyio
 
 
+async def test_an_action_is_served_once(path: Path) -> None:
+    store = SqliteStore(path)
+    async with opened(store) as kept:
+        with pytest.raises(StoreError, match="a server of the action 'paint' uses it already"):
+            async with opened(store):
+                pass
+        await kept(kept.journal.accept, a_goal())
+
+
 async def test_a_store_belongs_to_one_event_loop_at_a_time(
     path: Path, anyio_backend_name: str
 ) -> None:

@@ -12,10 +12,8 @@ import msgspec
 import pytest
 
 from fibaction import (
-    Action,
     ActionClient,
     ActionServer,
-    GoalHandle,
     GoalID,
     GoalInfo,
     GoalRejected,
@@ -24,7 +22,7 @@ from fibaction import (
 from fibaction.border.abc import FeedbackItem
 from fibaction.observe.recordings import recorder
 from fibaction.observe.recordings.recorder import Recorder
-from fibaction.observe.recordings.recording_file import Record, read_records
+from fibaction.observe.recordings.recording_file import read_records
 from tests.server.held import waits
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 
@@ -180,22 +178,6 @@ async def test_a_full_disk_ends_the_recording_with_one_line_in_the_log_and_goals
 def test_a_file_that_cannot_be_opened_is_an_error_at_once(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         Recorder(tmp_path / "missing" / "recording.jsonl")
-
-
-async def test_thousands_of_feedback_messages_are_recorded_without_a_loss(path: Path) -> None:
-    count = Action("count", goal=int, feedback=int, result=str)
-
-    async def counts(goal: GoalHandle[int]) -> Any:
-        for number in range(goal.request):
-            yield number
-        yield "done"
-
-    with Recorder(path) as recording:
-        async with ActionServer(count, counts, watchers=[recording]) as server:
-            await ActionClient(server, count).call(5000)
-
-    found: list[Record] = [one for one in read_records(path) if one.event == "feedback"]
-    assert [one.data for one in found] == list(range(5000))
 
 
 async def test_the_parent_and_the_step_of_a_goal_are_recorded_once(path: Path) -> None:
