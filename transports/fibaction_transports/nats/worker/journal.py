@@ -167,9 +167,6 @@ class FleetJournal(FleetHistory, GoalJournal):
 
     def begin(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.begin`."""
-        held = self._held.get(goal.goal_id)
-        if held is not None:
-            held.waits = False
         self._write("begin", goal, then)
         self.begun.notify()
 
@@ -183,9 +180,6 @@ class FleetJournal(FleetHistory, GoalJournal):
 
     def end(self, goal: StoredGoal, then: Then) -> None:
         """See `GoalJournal.end`."""
-        held = self._held.get(goal.goal_id)
-        if held is not None:
-            held.waits = False
         self._write("end", goal, then)
 
     def release(self, goal: StoredGoal, then: Then) -> None:
@@ -198,6 +192,8 @@ class FleetJournal(FleetHistory, GoalJournal):
         if held is None:
             self._answers.answer(write, taken(goal.goal_id))
             return
+        if kind in ("begin", "end"):
+            held.waits = False
         held.writes.append(write)
         if len(held.writes) == 1:
             self._send(held)

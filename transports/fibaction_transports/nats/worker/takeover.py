@@ -213,23 +213,10 @@ class Takeover(MemberPart):
         self, journal: FleetJournal, others: NotesForOthers, note: Note, limit: CapacityLimiter
     ) -> None:
         try:
-            found = await self._found(journal, note)
-            if found is None or not await self._lost.is_gone(found[1]):
-                note.done()
-                return
-            record, entry = found
-            subject = self._names.left(journal.action)
-            if others.give_back(subject, note, entry.goal, is_left=True):
-                return
-            is_taken = await self._take(journal, record, entry)
-            if is_taken or self._membership.incarnation:
-                note.done()
-        except BrokerAway:
-            return  # the note comes again
+            goal_id = await self._taken(journal, others, note, is_left=True)
         finally:
             limit.release_on_behalf_of(note)
-        if is_taken:
-            await self._wait_for_begin(journal, entry.goal.goal_id)
+        await self._wait_for_begin(journal, goal_id)
 
     async def _take_wanted(self, journal: FleetJournal, others: NotesForOthers) -> None:
         subject = self._names.want(journal.action)
@@ -239,7 +226,8 @@ class Takeover(MemberPart):
                     await self._journals.room.wait()
                 note = await anext(notes)
                 if self._has_room(journal):
-                    await self._take_one_wanted(journal, others, note)
+                    goal_id = await self._taken(journal, others, note, is_left=False)
+                    await self._wait_for_begin(journal, goal_id)
                 else:
                     self._broker.add_note(subject, note.data)
                     note.done()
@@ -247,30 +235,38 @@ class Takeover(MemberPart):
     def _has_room(self, journal: FleetJournal) -> bool:
         return journal.running > 0 and bool(self._membership.incarnation)
 
-    async def _take_one_wanted(
-        self, journal: FleetJournal, others: NotesForOthers, note: Note
-    ) -> None:
+    async def _taken(
+        self, journal: FleetJournal, others: NotesForOthers, note: Note, *, is_left: bool
+    ) -> GoalID | None:
+        """Take the goal of a note, if it is left or waits elsewhere, and return its ID; None if it
+        is not taken.
+        """
+        names = self._names
+        subject = names.left(journal.action) if is_left else names.want(journal.action)
         try:
             found = await self._found(journal, note)
-            if found is not None and journal.waits(found[1].goal.goal_id):
-                return  # it waits here; the note comes again
-            if found is None or not found[1].waits:
+            if not is_left and found is not None and journal.waits(found[1].goal.goal_id):
+                return None  # it waits here; the note comes again
+            if found is None or not (
+                await self._lost.is_gone(found[1]) if is_left else found[1].waits
+            ):
                 note.done()
-                return
+                return None
             record, entry = found
-            subject = self._names.want(journal.action)
-            if others.give_back(subject, note, entry.goal, is_left=False):
-                return
-            former = entry.goal.worker
-            is_taken = await self._take(journal, record, entry)
+            goal_id, former = entry.goal.goal_id, entry.goal.worker
+            if others.give_back(subject, note, entry.goal, is_left=is_left):
+                return None
+            is_taken = await journal.take(record, entry.goal)
         except BrokerAway:
-            return  # the note comes again
+            return None  # the note comes again
         if is_taken or self._membership.incarnation:
             note.done()
-        if is_taken:
-            if former:
-                self._broker.publish(self._names.taken(former), record.subject.encode())
-            await self._wait_for_begin(journal, entry.goal.goal_id)
+        if not is_taken:
+            return None
+        logger.info("goal %s of %r is taken over from %r", goal_id, journal.action, former)
+        if former and not is_left:
+            self._broker.publish(names.taken(former), record.subject.encode())
+        return goal_id
 
     async def _found(
         self, journal: FleetJournal, note: Note
@@ -286,16 +282,10 @@ class Takeover(MemberPart):
             return None
         return await active_record(self._broker, self._names, journal.action, goal_id)
 
-    async def _take(self, journal: FleetJournal, record: BrokerRecord, entry: GoalEntry) -> bool:
-        """Take a goal over, unless another worker is faster; return whether it is taken."""
-        goal, former = entry.goal, entry.goal.worker
-        if not await journal.take(record, goal):
-            return False
-        logger.info("goal %s of %r is taken over from %r", goal.goal_id, journal.action, former)
-        return True
-
-    async def _wait_for_begin(self, journal: FleetJournal, goal_id: GoalID) -> None:
+    async def _wait_for_begin(self, journal: FleetJournal, goal_id: GoalID | None) -> None:
         """Wait until a goal that was taken begins, and offer it to others if that takes long."""
+        if goal_id is None:
+            return
         with move_on_after(BEGIN_TIMEOUT):
             while journal.waits(goal_id):
                 await journal.begun.wait()
