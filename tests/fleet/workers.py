@@ -10,15 +10,14 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from signal import SIGTERM
 from typing import Literal
 
 import anyio
 import msgspec
 
-from fibaction import ActionServer, Schedule, serve
-from tests.kills.harness import serving
-from tests.kills.victim import WORK, Diary, Worker
+from fibaction import Schedule
+from tests.kills.harness import serving, started
+from tests.kills.victim import serve_until_stopped
 
 STOP_TIMEOUT = 30.0
 """Seconds for the end of a process in good order; then it is killed."""
@@ -49,29 +48,22 @@ def schedule_of(limit: int) -> Schedule | None:
     return Schedule(key=lambda work: work.key, concurrency=limit, queue=10_000, fleet_limit="trial")
 
 
-async def serve_until_stopped(setup: Setup, parent: Connection) -> None:
-    """Serve as a worker, tell the parent when clients can find it, and stop at SIGTERM."""
-    diary = Diary(Path(setup.diary))
-    server = ActionServer(
-        WORK,
-        Worker(diary),
+async def serve_in_fleet(setup: Setup, parent: Connection) -> None:
+    """Serve as a worker."""
+    await serve_until_stopped(
+        setup.url,
+        setup.diary,
+        parent,
         recovery=setup.recovery,
         at_stop=setup.at_stop,
-        result_timeout=float("inf"),
-        max_results=1_000_000,
         max_goals=10_000,
         schedule=schedule_of(setup.limit),
     )
-    with anyio.open_signal_receiver(SIGTERM) as signals:
-        async with serve(server, setup.url):
-            parent.send("serving")
-            await anext(signals)
-    diary.close()
 
 
 def run_worker(setup: Setup, parent: Connection) -> None:
     """Run a worker in this process."""
-    anyio.run(serve_until_stopped, setup, parent)
+    anyio.run(serve_in_fleet, setup, parent)
 
 
 class WorkerProcess:
@@ -128,12 +120,9 @@ class Crew(list[WorkerProcess]):
         """Start workers, and wait until clients can find all of them."""
         first = len(self._pipes)
         for setup in setups:
-            here, there = self._processes.Pipe(duplex=False)
-            process = self._processes.Process(target=run_worker, args=(setup, there))
-            process.start()
-            there.close()
+            process, pipe = started(self._processes, run_worker, setup)
             self.append(WorkerProcess(setup, process))
-            self._pipes.append(here)
+            self._pipes.append(pipe)
         for pipe in self._pipes[first:]:
             await serving(pipe)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 import anyio
@@ -48,19 +48,11 @@ class Keeper:
         self._processes.set_forkserver_preload(["tests.kills.victim", "fibaction_transports.tcp"])
         self.kills = Counter[str]()
 
-    def start(self) -> tuple[ForkServerProcess, Connection]:
-        """Start a process; its pipe tells when clients can connect."""
-        here, there = self._processes.Pipe(duplex=False)
-        process = self._processes.Process(target=run_victim, args=(self._setup, there))
-        process.start()
-        there.close()
-        return process, here
-
     async def kill_for(self, seconds: float) -> None:
         """Kill the server, and start it again, for so many seconds since the first one serves."""
         until = math.inf
         while anyio.current_time() < until:
-            process, pipe = self.start()
+            process, pipe = started(self._processes, run_victim, self._setup)
             if self._chance.random() < 0.2:
                 await anyio.sleep(self._chance.uniform(0, BIRTH))
                 kind = "served" if pipe.poll() else "not served"
@@ -77,7 +69,7 @@ class Keeper:
     @asynccontextmanager
     async def survivor(self) -> AsyncGenerator[None, None]:
         """Run a server that is stopped in good order at the end."""
-        process, pipe = self.start()
+        process, pipe = started(self._processes, run_victim, self._setup)
         try:
             await serving(pipe)
             yield
@@ -86,6 +78,17 @@ class Keeper:
             process.join(30)
             process.kill()
             pipe.close()
+
+
+def started(
+    processes: ForkServerContext, target: Callable[..., None], setup: msgspec.Struct
+) -> tuple[ForkServerProcess, Connection]:
+    """Start a process; its pipe tells when clients can connect."""
+    here, there = processes.Pipe(duplex=False)
+    process = processes.Process(target=target, args=(setup, there))
+    process.start()
+    there.close()
+    return process, here
 
 
 async def serving(pipe: Connection) -> None:

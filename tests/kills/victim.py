@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIGTERM
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import anyio
 import msgspec
@@ -57,9 +57,7 @@ class Setup(msgspec.Struct):
     store: str
     diary: str
     recovery: Literal["abort", "rerun"]
-    sync: Literal["full", "normal"] = "full"
     max_attempts: int = 3
-    concurrency: int = 15
 
 
 What: TypeAlias = Literal["began", "stepped", "kept"]
@@ -132,25 +130,31 @@ class Worker:
         yield Done(steps, goal.attempt)
 
 
-async def serve_until_killed(setup: Setup, parent: Connection) -> None:
-    """Serve at the URL, tell the parent when clients can connect, and stop at SIGTERM."""
-    diary = Diary(Path(setup.diary))
+async def serve_until_stopped(url: str, diary: str, parent: Connection, **settings: Any) -> None:
+    """Serve at a URL, tell the parent when clients can connect, and stop at SIGTERM."""
+    written = Diary(Path(diary))
     server = ActionServer(
-        WORK,
-        Worker(diary),
-        schedule=Schedule(concurrency=setup.concurrency, queue=1000),
-        store=SqliteStore(setup.store, sync=setup.sync),
+        WORK, Worker(written), result_timeout=float("inf"), max_results=1_000_000, **settings
+    )
+    with anyio.open_signal_receiver(SIGTERM) as signals:
+        async with serve(server, url):
+            parent.send("serving")
+            await anext(signals)
+    written.close()
+
+
+async def serve_until_killed(setup: Setup, parent: Connection) -> None:
+    """Serve goals that are kept in a file."""
+    await serve_until_stopped(
+        f"{setup.url}?heartbeat=1",
+        setup.diary,
+        parent,
+        schedule=Schedule(concurrency=15, queue=1000),
+        store=SqliteStore(setup.store),
         recovery=setup.recovery,
         max_attempts=setup.max_attempts,
         at_stop="keep",
-        result_timeout=float("inf"),
-        max_results=1_000_000,
     )
-    with anyio.open_signal_receiver(SIGTERM) as signals:
-        async with serve(server, setup.url, heartbeat=1):
-            parent.send("serving")
-            await anext(signals)
-    diary.close()
 
 
 def run_victim(setup: Setup, parent: Connection) -> None:
