@@ -182,6 +182,10 @@ class MemoryBrokers:
         kept = self.records.get(subject)
         return None if kept is None else kept.record
 
+    def record_of(self, subject: str) -> BrokerRecord:
+        """Return the newest record of a subject that has one."""
+        return self.records[subject].record
+
     def matching(self, subject: str) -> list[BrokerRecord]:
         """Return the newest record of each subject that matches, in the order of sequences."""
         found = [kept.record for one, kept in self.records.items() if matches(subject, one)]

@@ -296,8 +296,7 @@ class FakeWorker:
     def take_over(self, action: str, goal_id: GoalID) -> None:
         """Become the owner of a goal of another worker."""
         subject = NAMES.goal(action, goal_id)
-        record = self.broker.shared.newest(subject)
-        assert record is not None
+        record = self.broker.shared.record_of(subject)
         stored = goal_entry(record.data).goal
         stored.worker = self.name
         journal, claim, _ = self.journals[action]
@@ -340,6 +339,13 @@ class FakeFleet:
         """Add a worker, which does not serve yet."""
         worker = self.workers[name] = FakeWorker(self.broker, name, is_kept=is_kept)
         return worker
+
+    @asynccontextmanager
+    async def serving(self, *names: str) -> AsyncGenerator[list[FakeWorker], None]:
+        """Let workers of these names serve while the block lasts."""
+        async with AsyncExitStack() as stack:
+            made = [self.worker(name).serve(server()) for name in names]
+            yield [await stack.enter_async_context(one) for one in made]
 
     @asynccontextmanager
     async def connect(self, **settings: Any) -> AsyncGenerator[FleetConnection, None]:

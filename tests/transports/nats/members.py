@@ -160,8 +160,7 @@ async def member(
 
 
 def entry(shared: MemoryBrokers, one: StoredGoal) -> GoalEntry:
-    record = shared.newest(NAMES.goal("count", one.goal_id))
-    assert record is not None
+    record = shared.record_of(NAMES.goal("count", one.goal_id))
     return goal_entry(record.data)
 
 

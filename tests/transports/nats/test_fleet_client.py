@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
@@ -369,11 +370,7 @@ async def test_a_goal_that_waits_no_longer_needs_no_place(fleet: FakeFleet) -> N
 
 
 async def test_a_worker_that_does_not_answer_is_left_for_another_soon(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.worker("b").serve(server()),
-        places_of(fleet) as places,
-    ):
+    async with fleet.serving("a", "b") as (a, _), places_of(fleet) as places:
         a.is_frozen = True
         began = anyio.current_time()
         assert (await places.take("count")).worker == "b"
@@ -422,45 +419,27 @@ async def test_busy_workers_are_told_apart_from_none(fleet: FakeFleet) -> None:
             assert (await places.take("count")).worker == "a"  # the only one answers itself
 
 
-async def test_a_worker_that_has_room_by_its_lease_is_waited_for_a_moment(
-    fleet: FakeFleet,
+@pytest.mark.parametrize(("is_back", "wait"), [(False, ROOM_WAIT), (True, RETURN_WAIT)])
+async def test_a_worker_that_has_room_by_its_lease_is_waited_for_longer_after_a_reconnection(
+    fleet: FakeFleet, is_back: bool, wait: float
 ) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.worker("b").serve(server()) as b,
-        places_of(fleet) as places,
-    ):
+    async with fleet.serving("a", "b") as (a, b), places_of(fleet) as places:
         a.deafen()
         b.deafen()
+
+        def begin() -> None:
+            fleet.broker.reconnected_at = anyio.current_time() if is_back else -math.inf
+
+        begin()
         began = anyio.current_time()
-        with pytest.raises(GoalRejected):
-            await places.take("count")
-        assert anyio.current_time() - began == pytest.approx(ROOM_WAIT, abs=0.1)
-        async with Running(lambda: places.take("count")) as taking:
-            await anyio.sleep(ROOM_WAIT / 2)
-            a.listen(NAMES.offer("count"))
-            assert (await taking.answer()).worker == "a"
-
-
-async def test_workers_are_waited_for_that_come_back_to_the_brokers_later_than_the_client(
-    fleet: FakeFleet,
-) -> None:
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.worker("b").serve(server()) as b,
-        places_of(fleet) as places,
-    ):
-        a.deafen()
-        b.deafen()
-        fleet.broker.reconnected_at = anyio.current_time()
-        async with Running(lambda: places.take("count")) as taking:
-            await anyio.sleep(2 * ROOM_WAIT)
-            a.listen(NAMES.offer("count"))
-            assert (await taking.answer()).worker == "a"
-        a.deafen()
-        fleet.broker.reconnected_at -= RETURN_WAIT
         with pytest.raises(GoalRejected, match="busy"):
             await places.take("count")
+        assert anyio.current_time() - began == pytest.approx(wait, abs=0.1)
+        begin()
+        async with Running(lambda: places.take("count")) as taking:
+            await anyio.sleep(wait / 2)
+            a.listen(NAMES.offer("count"))
+            assert (await taking.answer()).worker == "a"
 
 
 # The workers of a fleet, as a client knows them from their leases
@@ -546,11 +525,7 @@ async def test_a_worker_is_gone_once_more_when_the_claim_to_clear_up_after_it_en
 
 
 async def test_workers_that_may_write_their_leases_again_are_not_gone(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()) as b,
-        workers_of(fleet) as (workers, gone),
-    ):
+    async with fleet.serving("a", "b") as (_, b), workers_of(fleet) as (workers, gone):
         fleet.broker.shared.records.clear()
         fleet.broker.shared.stream = BrokerStream("second", workers.longest_lease - 1)
         fleet.broker.begin_anew()

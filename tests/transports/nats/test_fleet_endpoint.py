@@ -85,11 +85,7 @@ class _Answering(ForwardingEndpoint):
 
 
 async def test_goals_are_run_by_all_workers_in_turn(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        fleet.connect() as connection,
-    ):
+    async with fleet.serving("a", "b"), fleet.connect() as connection:
         client = client_of(connection)
         assert client.endpoint.info == COUNT.info
         for _ in range(4):
@@ -307,22 +303,6 @@ async def test_a_goal_of_a_gateway_does_not_move(fleet: FakeFleet) -> None:
 # To cancel goals
 
 
-async def test_a_goal_is_followed_and_canceled_at_its_owner(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        fleet.connect() as one,
-        fleet.connect() as other,
-    ):
-        goals = [await client_of(one).send_goal(-3) for _ in range(2)]
-        for goal in goals:
-            followed = await client_of(other).attach(goal.goal_id, after=0)
-            assert [await anext(followed.feedback) for _ in range(3)] == [0, 1, 2]
-            answer = await client_of(other).cancel_goals(goal.goal_id)
-            assert [info.goal_id for info in answer.goals_canceling] == [goal.goal_id]
-            assert (await goal.outcome()).status is GoalStatus.CANCELED
-
-
 async def test_all_goals_are_canceled_at_all_workers(fleet: FakeFleet) -> None:
     async with AsyncExitStack() as stack:
         for name in ("a", "b", "c"):
@@ -401,11 +381,7 @@ async def _away(call: str, _: str) -> None:
 
 
 async def test_a_cancel_of_all_goals_leaves_out_a_worker_that_is_gone(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()) as b,
-        fleet.connect() as connection,
-    ):
+    async with fleet.serving("a", "b") as (_, b), fleet.connect() as connection:
         client = client_of(connection)
         assert (await client.cancel_goals()).return_code is CancelCode.NONE
         b.hang_up()
@@ -497,11 +473,7 @@ async def test_a_goal_that_moves_after_its_record_was_read_is_asked_about_again(
     fleet: FakeFleet, ask: Callable[[Endpoint], Awaitable[Any]]
 ) -> None:
     subject = NAMES.goal("count", GOAL_ID)
-    async with (
-        fleet.worker("a").serve(server()) as a,
-        fleet.worker("b").serve(server()) as b,
-        fleet.connect() as connection,
-    ):
+    async with fleet.serving("a", "b") as (a, b), fleet.connect() as connection:
         endpoint = connection.endpoint(COUNT)
         a.own(GOAL_ID, goal=MINUS_THREE, digest=digest_of(MINUS_THREE))
         before = fleet.broker.shared.newest(subject)
@@ -621,11 +593,7 @@ async def test_the_log_lines_of_all_attempts_are_told_in_order_by_the_workers_th
 
 
 async def test_actions_workers_and_peers_are_those_of_all_workers(fleet: FakeFleet) -> None:
-    async with (
-        fleet.worker("a").serve(server()),
-        fleet.worker("b").serve(server()),
-        fleet.connect() as connection,
-    ):
+    async with fleet.serving("a", "b"), fleet.connect() as connection:
         assert await connection.actions() == [COUNT.info]
         assert [worker.name for worker in await connection.workers()] == ["a", "b"]
         assert connection.endpoint(COUNT.info).info == COUNT.info

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
@@ -28,7 +28,13 @@ from fibaction_transports.nats.fleet_history import (
     rerun_goal,
 )
 from fibaction_transports.nats.records import SECOND, encode
-from tests.support.memory_broker import ANSWER_TIMEOUT, MemoryBroker, MemoryBrokers, Write
+from tests.support.memory_broker import (
+    ANSWER_TIMEOUT,
+    MemoryBroker,
+    MemoryBrokers,
+    MemoryWatch,
+    Write,
+)
 from tests.support.virtual_time import in_virtual_time
 from tests.transports.hearing import Hearing
 from tests.transports.nats.fake_fleet import (
@@ -53,15 +59,36 @@ def ended(number: int = 1, **fields: Any) -> StoredGoal:
     return goal(number, **changes)
 
 
-async def noted(broker: MemoryBroker, *numbers: int, **fields: Any) -> FleetHistory:
-    """Return a history with these goals."""
+@asynccontextmanager
+async def adding(broker: MemoryBroker) -> AsyncGenerator[HistoryWrites, None]:
     async with Background() as tasks:
         writes = HistoryWrites(broker, NAMES)
         writes.open(tasks, LEASE)
+        yield writes
+
+
+async def noted(broker: MemoryBroker, *numbers: int, **fields: Any) -> FleetHistory:
+    """Return a history with these goals."""
+    async with adding(broker) as writes:
         for number in numbers:
             writes.add("count", ended(number, **fields), goal(number, meta={"order": str(number)}))
         await writes.settle()
     return FleetHistory(broker, NAMES, "count")
+
+
+def change_watches(
+    monkeypatch: pytest.MonkeyPatch, broker: MemoryBroker, change: Callable[[MemoryWatch], None]
+) -> None:
+    """Let something happen to each watch when it has begun."""
+    watch_once = broker.watch
+
+    @asynccontextmanager
+    async def changed(*args: Any, **given: Any) -> AsyncGenerator[BrokerWatch, None]:
+        async with watch_once(*args, **given) as watch:
+            change(watch)
+            yield watch
+
+    monkeypatch.setattr(broker, "watch", changed)
 
 
 def stamps(goals: list[Any]) -> list[int]:
@@ -146,8 +173,7 @@ async def test_records_of_lost_workers_are_looked_at_once(
         is_gone = takeover._lost.is_gone
         for _ in range(2):
             for number in (2, 2, 1, 3):
-                record = shared.newest(NAMES.goal("count", goal(number).goal_id))
-                assert record is not None
+                record = shared.record_of(NAMES.goal("count", goal(number).goal_id))
                 await a.journals.history.add_left(record, entry(shared, goal(number)), is_gone)
                 await a.journals.history.settle()
     first, second = (NAMES.past("count", goal(one).goal_id, one) for one in (1, 2))
@@ -168,9 +194,7 @@ async def test_a_write_without_an_answer_is_made_again_and_the_goal_is_there_onc
             return len(lost) == 1
 
         shared.loses_answer = loses
-        async with Background() as tasks:
-            writes = HistoryWrites(broker, NAMES)
-            writes.open(tasks, LEASE)
+        async with adding(broker) as writes:
             writes.add("count", ended(), goal())
             writes.add("count", ended(), goal())
             await writes.settle()
@@ -184,9 +208,7 @@ async def test_a_write_without_an_answer_is_made_again_and_the_goal_is_there_onc
 async def test_brokers_that_are_away_are_waited_for_and_not_at_the_end() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
-        async with Background() as tasks:
-            writes = HistoryWrites(broker, NAMES)
-            writes.open(tasks, LEASE)
+        async with adding(broker) as writes:
             broker.is_away = True
             writes.add("count", ended(), goal())
             begun = anyio.current_time()
@@ -226,9 +248,7 @@ async def test_goals_that_end_while_too_much_waits_are_left_out(
 async def test_what_is_too_large_is_left_out_of_a_goal(size: int, kept: bytes | None) -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
-        async with Background() as tasks:
-            writes = HistoryWrites(broker, NAMES)
-            writes.open(tasks, LEASE)
+        async with adding(broker) as writes:
             result = b"result" if kept else bytes(size)
             writes.add("count", ended(result=result), goal(goal=bytes(2**20)))
             await writes.settle()
@@ -263,17 +283,11 @@ async def test_a_page_has_each_goal_once_though_the_watch_begins_again(
     async with MemoryBrokers() as shared:
         broker = shared.member()
         past = await noted(broker, 1, 2)
-        watch_once = broker.watch
-
-        @asynccontextmanager
-        async def twice(
-            stream: str, subject: str, **given: Any
-        ) -> AsyncGenerator[BrokerWatch, None]:
-            async with watch_once(stream, subject, **given) as watch:
-                watch._found.appendleft(shared.matching(subject)[:1])
-                yield watch
-
-        monkeypatch.setattr(broker, "watch", twice)
+        change_watches(
+            monkeypatch,
+            broker,
+            lambda watch: watch._found.appendleft(shared.matching(watch.subject)[:1]),
+        )
         assert stamps(await past.past_goals(PastPage())) == [2, 1]
         read: list[GoalInfo] = []
         await past.read_past(GoalQuery(), read.extend)
@@ -320,17 +334,7 @@ async def test_brokers_that_stop_to_tell_the_history_are_an_error(
     async with MemoryBrokers() as shared:
         broker = shared.member()
         past = await noted(broker, 1)
-        watch_once = broker.watch
-
-        @asynccontextmanager
-        async def stopping(
-            stream: str, subject: str, **given: Any
-        ) -> AsyncGenerator[BrokerWatch, None]:
-            async with watch_once(stream, subject, **given) as watch:
-                broker.is_away = True
-                yield watch
-
-        monkeypatch.setattr(broker, "watch", stopping)
+        change_watches(monkeypatch, broker, lambda _watch: setattr(broker, "is_away", True))
         with pytest.raises(StoreError, match=f"no answer within {HISTORY_TIMEOUT:g} s"):
             await past.past_goals(PastPage())
 
@@ -391,16 +395,6 @@ async def test_what_was_not_given_up_does_not_run_again() -> None:
             await rerun("count", keep_again.goal_id)
 
 
-async def test_an_endpoint_and_a_worker_run_one_again_or_tell_that_it_was_not_given_up() -> None:
-    async with MemoryBrokers() as shared, member(shared, "a") as a:
-        keep(shared, given_up())
-        history = FleetHistory(shared.member(), NAMES, "count")
-        new = await history.rerun(given_up().goal_id)
-        (claimed,) = await a.claims(1, within=1)
-        assert claimed.goal_id == new
-        assert await history.rerun(given_up().goal_id) is None
-
-
 async def test_brokers_that_are_away_are_an_error() -> None:
     async with MemoryBrokers() as shared:
         broker = shared.member()
@@ -440,7 +434,8 @@ async def test_one_is_read_with_its_checkpoint_as_long_as_it_can_run_again() -> 
         assert found.checkpoint == b"half"
         for number in (2, 3):
             assert await history.given_up(goal(number).goal_id) is None
-        await history.rerun(given_up().goal_id)
+        assert await history.rerun(given_up().goal_id) is not None
+        assert await history.rerun(given_up().goal_id) is None
         assert await history.given_up(given_up().goal_id) is None
         shared.put(NAMES.goal("count", goal(6).goal_id), b"of a later version", 0, 60)
         with pytest.raises(StoreError, match="cannot be read"):

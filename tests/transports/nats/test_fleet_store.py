@@ -125,9 +125,7 @@ async def test_nothing_is_written_over_a_marker_or_rubbish_in_place_of_a_goal() 
             one = goal(number)
             robot.write("accept", one)
             await robot.answered(2 * number - 1)
-            record = shared.newest(NAMES.goal("count", one.goal_id))
-            assert record is not None
-            shared.put(record.subject, data, record.sequence, 60)
+            shared.store(NAMES.goal("count", one.goal_id), data, 60)
             robot.write("end", ended(one))
             await robot.answered(2 * number)
         assert robot.errors == [None, GoalTaken] * 2
@@ -162,10 +160,8 @@ async def test_the_next_worker_s_write_is_told_from_a_lost_answer() -> None:
         robot.broker.is_away = True
         robot.write("end", ended(one))
         await sleep(0.1)
-        record = shared.newest(NAMES.goal("count", one.goal_id))
-        assert record is not None
         other = encode(GoalEntry(one, b"other", b"9999"))
-        shared.put(record.subject, other, record.sequence, 100)
+        shared.store(NAMES.goal("count", one.goal_id), other, 100)
         robot.broker.is_away = False
         await robot.answered(2)
         assert robot.errors == [None, GoalTaken]
@@ -325,8 +321,7 @@ async def test_a_taken_goal_is_claimed_with_its_former_worker() -> None:
         one = goal(is_running=False, attempt=0)
         a.write("accept", one)
         await a.answered(1)
-        record = shared.newest(NAMES.goal("count", one.goal_id))
-        assert record is not None
+        record = shared.record_of(NAMES.goal("count", one.goal_id))
         assert await b.journal.take(record, goal_entry(record.data).goal)
         assert b.claimed == [replace(one, worker="a")]
         assert b.journal.has(one.goal_id)
@@ -345,8 +340,7 @@ async def test_a_goal_that_is_being_taken_is_not_accepted_anew() -> None:
     async with MemoryBrokers() as shared, member(shared) as robot:
         one = goal()
         shared.put(NAMES.goal("count", one.goal_id), encode(GoalEntry(one, b"", b"1234")), 0, 100)
-        record = shared.newest(NAMES.goal("count", one.goal_id))
-        assert record is not None
+        record = shared.record_of(NAMES.goal("count", one.goal_id))
         shared.delay = lambda: 0.5
         async with create_task_group() as tasks:
             tasks.start_soon(robot.journal.take, record, replace(one))

@@ -12,6 +12,7 @@ import pytest
 
 from fibaction import TransportError
 from fibaction._runtime.notify import Notifier
+from fibaction.border.event_loop import Background
 from fibaction_transports.nats.broker.answers import PendingAnswers
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
@@ -30,6 +31,8 @@ from fibaction_transports.nats.broker.jetstream import (
     NO_PEERS,
     NO_ROOM_FOR_REPLICAS,
     STREAM_NOT_FOUND,
+    check_account,
+    check_version,
     create_streams,
     find_stream,
     outcome,
@@ -198,6 +201,48 @@ async def test_a_consumer_that_is_gone_is_broken(watch: RecordWatch) -> None:
     watch._on_message(Message("inbox", b"", "", {"Status": "409"}))
     assert watch._is_broken
     watch.close()
+
+
+# The broker and its account
+
+
+@pytest.mark.parametrize("version", ["2.9.10", "2.10.29", "", "new"])
+def test_a_version_that_ignores_leases_is_one_sentence(version: str) -> None:
+    with pytest.raises(TransportError) as caught:
+        check_version("nats://host", version)
+    assert str(caught.value) == (
+        f"the broker at nats://host is nats-server {version or 'of no known version'}, and a"
+        " fleet needs 2.11 or later: in older ones the lease of a lost worker does not end"
+    )
+
+
+@pytest.mark.parametrize(
+    ("info", "text"),
+    [
+        ({"api": {"level": 0}}, "is older than 2.11: update all brokers"),
+        (failed(10039, 503), "cannot be used: no"),
+        (Message("", b"no JSON", ""), "does not answer"),
+        (NO_RESPONDERS, "is not enabled: start nats-server with -js"),
+    ],
+)
+async def test_an_account_that_cannot_be_used_is_one_sentence(info: Any, text: str) -> None:
+    client: Any = ScriptedClient(API_INFO=[info])
+    with pytest.raises(TransportError, match=text):
+        await check_account(client)
+
+
+async def test_an_election_is_waited_for_and_not_for_ever(
+    no_pause: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = [NO_RESPONDERS, BrokerAway("no answer"), failed(NO_LEADER, 503)]
+    client: Any = ScriptedClient(API_INFO=[*away, {"api": {"level": 1}}])
+    client.info = BrokerInfo(cluster="c")
+    await check_account(client)
+    assert len(client.asked) == 4
+    monkeypatch.setattr("fibaction_transports.nats.broker.jetstream.ELECTION", 0.05)
+    client.answers = {"API.INFO": [NO_RESPONDERS]}
+    with pytest.raises(TransportError, match="is not enabled"):
+        await check_account(client)
 
 
 # Answers
@@ -410,20 +455,6 @@ async def test_a_consumer_that_was_not_answered_in_time_is_removed(no_pause: Non
     assert removed == "$JS.API.CONSUMER.DELETE.stream.one"
 
 
-async def test_a_watch_waits_for_the_connection() -> None:
-    client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
-    client.is_connected = False
-    watch = RecordWatch(client, "stream", "s")
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(watch.next)
-        await anyio.wait_all_tasks_blocked()
-        assert not client.asked
-        client.is_connected = True
-        for one in client.to_notify:
-            one.notify()
-    assert client.asked
-
-
 async def test_flow_control_holds_the_broker_back_until_the_reader_comes() -> None:
     client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
     watch = RecordWatch(client, "stream", "s")
@@ -509,20 +540,27 @@ async def test_a_note_that_nobody_has_taken_is_given_back(client: Any) -> None:
     assert client.asked[-2:] == [("ack.one", b"+ACK"), ("ack.late", b"-NAK")]
 
 
-async def test_notes_wait_for_the_connection(client: Any) -> None:
+@pytest.mark.parametrize(
+    "next_of",
+    [
+        lambda client: RecordWatch(client, "stream", "s").next(),
+        lambda client: anext(NoteQueue(client, NAMES.want("a")).notes()),
+    ],
+)
+async def test_a_reader_waits_for_the_connection(next_of: Callable[[Any], Any]) -> None:
+    client: Any = ScriptedClient(CONSUMER_CREATE=[{"delivered": {"consumer_seq": 0}}])
+    answering(client, note(b"one"))
     client.is_connected = False
     with anyio.move_on_after(0):
-        await anext(NoteQueue(client, NAMES.want("a")).notes())
-    answering(client, note(b"one"))
-    notes = NoteQueue(client, NAMES.want("a")).notes()
-    async with anyio.create_task_group() as tasks:
-        tasks.start_soon(anext, notes)
+        await next_of(client)
+    async with Background() as tasks:
+        tasks.start_soon(next_of, client)
         await anyio.wait_all_tasks_blocked()
         assert not client.asked
         client.is_connected = True
         for one in client.to_notify:
             one.notify()
-    await notes.aclose()
+        await anyio.wait_all_tasks_blocked()
     assert client.asked
 
 

@@ -207,13 +207,10 @@ def test_the_url_has_no_logins_and_no_settings() -> None:
     ("settings", "error"),
     [
         ({"fleet": ""}, "the fleet has no name"),
-        ({"fleet": "x" * 101}, "the name of the fleet is too long"),
         ({"worker": "." * 34}, "the name of the worker is too long"),
-        ({"lease": 1.9}, "lease must be between 2 and 3600 s, not 1.9"),
         ({"lease": -1}, "lease must be between"),
         ({"lease": math.nan}, "lease must be between"),
         ({"lease": math.inf}, "lease must be between"),
-        ({"replicas": 2}, "replicas must be 1, 3 or 5, not 2"),
     ],
 )
 def test_values_that_cannot_be_are_one_sentence(settings: dict[str, Any], error: str) -> None:

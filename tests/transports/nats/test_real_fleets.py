@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -121,7 +121,12 @@ async def test_a_fleet_goes_on_when_streams_are_deleted(
     assert not [line for line in log.warnings if "is gone" in line or "gives up" in line]
 
 
-async def a_fleet_goes_on_without(lost: list[Names], broker: NatsServer, log: Hearing) -> None:
+async def a_fleet_goes_on_without(
+    lost: list[Names],
+    broker: NatsServer,
+    log: Hearing,
+    lose: Callable[..., Awaitable[None]] = delete,
+) -> None:
     fleet = secrets.token_hex(4)
     names, url = FleetNames(fleet), broker.url(fleet, f"?lease={LEASE:g}")
     streams = [one(names) for one in lost]
@@ -132,7 +137,7 @@ async def a_fleet_goes_on_without(lost: list[Names], broker: NatsServer, log: He
     ):
         client = ActionClient(connection.endpoint(COUNT), COUNT)
         goals = [await client.send_goal(number) for number in (1, 2, 3, 4)]
-        await delete(broker, *streams)
+        await lose(broker, *streams)
         await all_know(log, 2, streams)
         with anyio.fail_after(IN_TIME):
             assert await client.call(0) == 0
@@ -146,27 +151,14 @@ async def a_fleet_goes_on_without(lost: list[Names], broker: NatsServer, log: He
 
 @pytest.mark.promise("FLEET-8")
 async def test_a_fleet_goes_on_when_its_broker_comes_back_without_its_storage(
-    own_broker: NatsServer, fleet: str, log: Hearing
+    own_broker: NatsServer, log: Hearing
 ) -> None:
-    names = FleetNames(fleet)
-    async with (
-        serving(own_broker.url(fleet, f"?lease={LEASE:g}")) as one,
-        serving(own_broker.url(fleet, f"?lease={LEASE:g}")) as two,
-        connect(own_broker.url(fleet)) as connection,
-    ):
-        client = ActionClient(connection.endpoint(COUNT), COUNT)
-        goals = [await client.send_goal(number) for number in (1, 2, 3, 4)]
+    async def lose(_broker: NatsServer, *_streams: str) -> None:
         own_broker.kill()
         own_broker.lose_data()
         own_broker.start()
-        await all_know(log, 2, [names.workers, names.goals, names.notes])
-        with anyio.fail_after(IN_TIME):
-            assert await client.call(0) == 0
-        for worker in (one, two):
-            worker.go.set()
-        with anyio.fail_after(8):
-            assert [await goal.result() for goal in goals] == [1, 2, 3, 4]
-    assert sorted(one.attempts + two.attempts) == [(number, 1) for number in range(5)]
+
+    await a_fleet_goes_on_without(ALL, own_broker, log, lose)
 
 
 @pytest.mark.promise("FLEET-8")

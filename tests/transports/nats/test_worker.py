@@ -69,8 +69,7 @@ async def client(broker: MemoryBroker) -> AsyncGenerator[ActionClient[int, str, 
 
 
 def lease(shared: MemoryBrokers, name: str = "robot") -> Any:
-    record = shared.newest(NAMES.worker(name))
-    assert record is not None
+    record = shared.record_of(NAMES.worker(name))
     return lease_entry(record.data)
 
 
