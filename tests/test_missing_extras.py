@@ -225,4 +225,4 @@ def test_each_extra_has_a_door_here() -> None:
     assert {*MODULES, *NO_DOOR} == {*extras}
     sentences = " ".join(sentence for _, sentence in (*IN_PYTHON, *IN_A_SHELL))
     without = [extra for extra in MODULES if f"{{{extra}}}" not in sentences]
-    assert without == ["cli"]  # `test_init` of the command line has its sentence
+    assert without == ["cli"]  # `test_app` of the command line has its sentence

@@ -7,12 +7,14 @@ import inspect
 import pkgutil
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 import fibaction
-from fibaction import border
+from fibaction import Watcher, border
+from fibaction.border.byte_budgets import ByteBudget, CountedBytes
+from fibaction.server.watchers import METHODS
 
 ROOT = Path(__file__).parents[2]
 MODULES = {module.name for module in pkgutil.iter_modules(border.__path__)}
@@ -62,3 +64,43 @@ def test_the_names_of_a_module_of_the_border_are_documented(name: str) -> None:
         value = getattr(module, public)
         if inspect.isclass(value) or inspect.isfunction(value):
             assert inspect.getdoc(value), public
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_that_is_not_overridden_does_nothing(name: str) -> None:
+    method = getattr(Watcher(), name)
+    nothing = cast("Any", None)
+
+    assert method(*[nothing] * (method.__code__.co_argcount - 1)) is None
+
+
+def test_a_budget_has_room_up_to_its_limit() -> None:
+    budget = ByteBudget(10)
+
+    budget.take(4)
+
+    assert budget.has_room(6)
+    assert not budget.has_room(7)
+
+
+def test_bytes_count_as_long_as_anything_references_them() -> None:
+    budget = ByteBudget(10)
+    counted = CountedBytes(budget, 4)
+    other = counted
+
+    del counted
+    assert budget.used == other.size == 4
+
+    del other
+    assert budget.used == 0
+
+
+def test_bytes_that_become_others_count_anew() -> None:
+    budget = ByteBudget(10)
+    counted = CountedBytes(budget, 4)
+
+    counted.resize(7)
+    assert budget.used == counted.size == 7
+
+    del counted
+    assert budget.used == 0

@@ -108,10 +108,10 @@ ACTION_OR_GOAL_ID = _GoalIDOf(actions=True)
 
 
 def actions_for(ctx: click.Context) -> list[ActionInfo]:
-    """Return the actions that can be completed; none if the server is not known."""
+    """Return the actions that can be completed; none if the server cannot be asked."""
     try:
-        return reachable(url_of(ctx))
-    except Failure:
+        return plain(anyio.run(actions_at, url_of(ctx)))
+    except (ActionError, Failure):
         return []
 
 
@@ -152,17 +152,6 @@ async def goals_at(url: str, name: str | None, timeout: float = ASK_TIMEOUT) -> 
         async with connect(url) as connection:
             return await goals_of(await ActionClients(connection, name).now())
     return []
-
-
-def reachable(url: str) -> list[ActionInfo]:
-    """Return the actions at a URL whose names and types mean themselves in a shell.
-
-    There are none if the server cannot be asked.
-    """
-    try:
-        return plain(anyio.run(actions_at, url))
-    except ActionError:
-        return []
 
 
 def plain(infos: Iterable[ActionInfo]) -> list[ActionInfo]:
