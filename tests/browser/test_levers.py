@@ -60,7 +60,9 @@ def test_an_action_is_paused_and_resumed_after_questions_that_enter_does_not_ans
     expect(page.get_by_role("button", name="Pause…")).to_be_hidden()
 
 
-def test_the_p95_of_today_is_three_clicks_away(page: Page, archive: ArchiveProcess) -> None:
+def test_the_numbers_of_a_day_and_an_hour_are_counted_from_the_history(
+    page: Page, archive: ArchiveProcess
+) -> None:
     page.goto(archive.url)
     action(page, "paint").click()
     page.get_by_text("Numbers", exact=True).click()

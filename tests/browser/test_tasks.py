@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Generator
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.archive import GOALS
-from tests.browser.pages import NewRobot, action, open_action, row, send
+from tests.browser.pages import NewRobot, action, goal, open_action, row, send
 from tests.browser.served import ArchiveProcess, ConsoleProcess, RobotProcess, RosRobotProcess
 from tests.support.ros_domain import own_domain
 
@@ -44,6 +45,17 @@ def two(new_robot: NewRobot, robot: RobotProcess) -> Generator[ConsoleProcess, N
     gone = new_robot()
     with ConsoleProcess(f"arm3={robot.url}", f"arm7={gone.url}") as console:
         yield console
+
+
+def test_which_robot_is_away(page: Page, new_robot: NewRobot, robot: RobotProcess) -> None:
+    gone = new_robot()
+    with ConsoleProcess(f"arm3={robot.url}", f"arm7={gone.url}") as console:
+        begin(page, console.address)
+        expect(action(page, "arm7/fibonacci")).to_be_visible()
+        gone.kill()
+        expect(action(page, "arm7/").first).to_contain_text("away")
+        expect(action(page, "arm3/").first).not_to_contain_text("away")
+        assert clicks(page) == 0
 
 
 def test_why_the_last_goal_of_a_robot_failed(page: Page, two: ConsoleProcess) -> None:
@@ -123,4 +135,36 @@ def test_to_run_again_what_failed_since_noon(page: Page, archive: ArchiveProcess
     expect(dialog).to_contain_text(f"sends {failed} goals once more")
     dialog.get_by_role("button", name="Send them again").click()
     expect(page.locator(".list .note")).to_have_text(f"{2 * failed} goals.")  # the can is empty
+    assert clicks(page) == 3
+
+
+def test_to_compare_two_runs(page: Page, robot: RobotProcess) -> None:
+    open_action(page, robot)
+    runs = [send(page, order=order) for order in ("2", "3")]
+    begin(page, f"{robot.url}/#/")
+    row(page, runs[0]).get_by_role("link", name=runs[0], exact=True).click()
+    goal(page).get_by_role("button", name="Compare", exact=True).click()
+    row(page, runs[1]).get_by_role("link", name=runs[1], exact=True).click()
+    comparison = page.get_by_role("region", name="Comparison")
+    expect(comparison).to_contain_text(re.compile(r"goal\.order\s*2\s*3"))
+    assert clicks(page) == 3
+
+
+def test_the_p95_of_today(page: Page, archive: ArchiveProcess) -> None:
+    begin(page, f"{archive.url}/#/")
+    page.get_by_text("Numbers", exact=True).click()
+    day = page.get_by_role("table", name="Numbers").get_by_role("row").filter(has_text="a day")
+    heads = page.get_by_role("columnheader").filter(has_text="p95")
+    expect(heads).to_have_count(2)
+    expect(day.first).to_contain_text(re.compile(r"^painta day230.*(s|ms)$"))
+    assert clicks(page) == 1
+
+
+def test_to_pause_an_action(page: Page, new_robot: NewRobot) -> None:
+    robot = new_robot()
+    begin(page, f"{robot.url}/#/")
+    action(page, "fibonacci").click()
+    page.get_by_role("button", name="Pause…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Pause", exact=True).click()
+    expect(action(page, "fibonacci")).to_contain_text("paused")
     assert clicks(page) == 3
