@@ -6,6 +6,7 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from anyio import fail_after
+from anyio.abc import TaskGroup
 from msgspec.structs import replace
 
 from fibaction import GoalID
@@ -56,6 +57,7 @@ class Member:
         self.journals: WorkerJournals
         self.journal: FleetJournal
         self.takeover: Takeover
+        self.streams: LostStreams
         self.store: FleetStore
         self.claimed: list[StoredGoal] = []
         self.lost: list[GoalID] = []
@@ -111,6 +113,16 @@ class ServesCount(MemberPart):
         entry.actions = (ServedAction(ActionInfo("count"), is_kept=True),)
 
 
+@asynccontextmanager
+async def staying(membership: Membership) -> AsyncGenerator[TaskGroup, None]:
+    """Let a worker join, and stay in the fleet while the block lasts; give tasks for it."""
+    await membership.join()
+    async with Background() as tasks:
+        tasks.start_soon(membership.run)
+        tasks.start_soon(membership.fence_in_time)
+        yield tasks
+
+
 async def no_slots(_limit: str, _most: int) -> KeySlots:
     raise NotImplementedError
 
@@ -142,8 +154,8 @@ async def member(
         lost = LostWorkers(made.broker, NAMES, made.membership, workers)
         takeover = made.takeover = Takeover(made.journals, workers, lost)
         await takeover.open()
-        streams = LostStreams(made.journals, takeover, 0)
-        made.store = FleetStore(made.journals, takeover, key_slots, streams.make_keys)
+        made.streams = LostStreams(made.journals, takeover, 0)
+        made.store = FleetStore(made.journals, takeover, key_slots, made.streams.make_keys)
         made.journal = await stack.enter_async_context(
             made.store.open(
                 "count",

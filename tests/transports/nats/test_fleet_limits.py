@@ -13,7 +13,6 @@ import pytest
 from anyio import create_task_group, current_time, fail_after, sleep
 
 from fibaction._runtime.notify import Notifier
-from fibaction.border.event_loop import Background
 from fibaction.words.errors import ProtocolError, StoreError
 from fibaction_transports.nats.broker.broker import (
     BrokerStream,
@@ -40,7 +39,7 @@ from tests.support.memory_broker import (
     MemoryNote,
 )
 from tests.support.virtual_time import in_virtual_time
-from tests.transports.nats.members import LEASE, NAMES, goal, keep, member, waiting
+from tests.transports.nats.members import LEASE, NAMES, goal, keep, member, staying, waiting
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
 
@@ -135,10 +134,7 @@ async def seat(
 ) -> AsyncGenerator[Seat, None]:
     broker = shared.member(name)
     membership = Membership(broker, NAMES, name, LEASE)
-    await membership.join()
-    async with Background() as tasks:
-        tasks.start_soon(membership.run)
-        tasks.start_soon(membership.fence_in_time)
+    async with staying(membership) as tasks:
         workers = FleetWorkers(broker, NAMES, tasks, 5)
         await workers.ready()
         repairs: list[Callable[[], None]] = []

@@ -11,18 +11,15 @@ import anyio
 import pytest
 from anyio import current_time, sleep
 
-from fibaction.border.event_loop import Background
 from fibaction.words.errors import TransportError
 from fibaction_transports.nats.broker.broker import BrokerAway, BrokerRecord, PutError
-from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.records import LeaseEntry, encode, lease_entry
 from fibaction_transports.nats.worker.lease import MemberPart, Membership, Term
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
 from tests.support.virtual_time import in_virtual_time
+from tests.transports.nats.members import LEASE, NAMES, staying
 
 pytestmark = [pytest.mark.anyio, in_virtual_time()]
-NAMES = FleetNames("test")
-LEASE = 6.0
 MARGIN = 1.2
 
 
@@ -49,10 +46,7 @@ class Member(Membership, MemberPart):
 @asynccontextmanager
 async def joined(broker: MemoryBroker, name: str = "robot") -> AsyncGenerator[Member, None]:
     member = Member(broker, name)
-    await member.join()
-    async with Background() as tasks:
-        tasks.start_soon(member.run)
-        tasks.start_soon(member.fence_in_time)
+    async with staying(member):
         yield member
 
 

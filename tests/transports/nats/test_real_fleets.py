@@ -7,7 +7,6 @@ import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -29,6 +28,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.border.event_loop import Background
 from fibaction.words.goal_history import GoalHistory
 from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction_transports.nats.broker import jetstream
@@ -37,11 +37,7 @@ from fibaction_transports.nats.broker.nats_broker import open_broker
 from fibaction_transports.nats.names import FleetNames
 from fibaction_transports.nats.settings import FleetSettings
 from fibaction_transports.nats.worker.lease import Membership
-from fibaction_transports.nats.worker.lost_streams import LostStreams
-from fibaction_transports.nats.worker.lost_workers import LostWorkers
-from fibaction_transports.nats.worker.takeover import Takeover
 from fibaction_transports.nats.worker.worker import lease_thread
-from fibaction_transports.nats.workers import FleetWorkers
 from tests.fleet.workers import Setup, workers
 from tests.kills.victim import WORK, Done, Work
 from tests.support.memory_broker import MemoryBroker, MemoryBrokers
@@ -214,12 +210,9 @@ async def test_a_goal_keeps_its_place_when_the_stream_of_the_places_is_lost(
 @in_virtual_time()
 async def test_a_stream_that_was_opened_for_several_limits_is_made_again_once() -> None:
     async with MemoryBrokers() as shared, member(shared, "a") as a:
-        workers = FleetWorkers(a.broker, NAMES, a.journals.tasks, 5)
-        lost = LostWorkers(a.broker, NAMES, a.membership, workers)
-        streams = LostStreams(a.journals, Takeover(a.journals, workers, lost), 1)
-        await streams.open()
+        await a.streams.open()
         for _ in range(3):
-            await streams.open_keys(lambda: None)
+            await a.streams.open_keys(lambda: None)
         made: list[str] = []
 
         async def note(call: str, subject: str) -> None:
@@ -228,36 +221,30 @@ async def test_a_stream_that_was_opened_for_several_limits_is_made_again_once() 
 
         a.broker.before = note
         shared.stream = None
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(streams.run)
+        async with Background() as tasks:
+            tasks.start_soon(a.streams.run)
             await anyio.sleep(0.5)  # of virtual time: the first look, and no second one
-            tasks.cancel_scope.cancel()
         assert made == ["keys"]
 
 
+@in_virtual_time()
 async def test_a_stream_that_could_not_be_opened_is_not_made_with_those_that_are_lost() -> None:
-    class Refusing:
-        """A broker that has no room for the streams of keys and of the past."""
+    async def refuse(call: str, subject: str) -> None:
+        if call == "create_streams":
+            raise TransportError("there is no room for it")
 
-        async def create_streams(
-            self, *_: object, has_keys: bool, history: object, **_more: object
-        ) -> None:
-            if has_keys or history:
-                raise TransportError("there is no room for it")
-            made.append("the others")
+    async def refuse_keys(_call: str, subject: str) -> None:
+        assert subject != "keys"
 
-    made = list[str]()
-    parts: Any = SimpleNamespace(
-        broker=Refusing(), names=NAMES, membership=SimpleNamespace(rewrite=list)
-    )
-    taken: Any = None
-    streams = LostStreams(parts, taken, 1)
-    with pytest.raises(TransportError):
-        await streams.open_keys(lambda: None)
-    with pytest.raises(TransportError):
-        await streams.open_history(GoalHistory())
-    await streams._make(streams._more)
-    assert made == ["the others"]
+    async with MemoryBrokers() as shared, member(shared, "a") as a:
+        a.broker.before = refuse
+        with pytest.raises(TransportError):
+            await a.streams.open_keys(lambda: None)
+        with pytest.raises(TransportError):
+            await a.streams.open_history(GoalHistory())
+        a.broker.before = refuse_keys
+        await a.streams._make(a.streams._more)
+        assert shared.history is None
 
 
 # A fleet whose broker has little storage, which the goals of one client fill

@@ -12,7 +12,6 @@ from anyio import sleep
 from msgspec.structs import replace
 
 from fibaction import GoalID, GoalStatus
-from fibaction.border.event_loop import Background
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerRecord,
@@ -35,6 +34,7 @@ from tests.transports.nats.members import (
     goal,
     keep,
     member,
+    staying,
     waiting,
 )
 
@@ -432,7 +432,6 @@ async def other_worker(
     broker = shared.member("other")
     membership = Membership(broker, NAMES, "other", LEASE)
     membership.add(ServesCount())
-    await membership.join()
     asked: list[bytes] = []
 
     def on_question(message: Message) -> None:
@@ -442,8 +441,7 @@ async def other_worker(
 
     if answer is not None:
         await broker.subscribe(NAMES.reads("other", "count"), on_question)
-    async with Background() as tasks:
-        tasks.start_soon(membership.run)
+    async with staying(membership):
         yield asked
 
 
