@@ -418,6 +418,17 @@ def test_an_id_that_is_used_again_has_its_own_successor() -> None:
     assert scheduler.successor(ONE) == five
 
 
+def test_a_successor_waits_in_the_queue_when_a_more_urgent_goal_takes_its_place() -> None:
+    rules = Schedule(concurrency=1, queue=1, when_full="preempt", priority=lambda _: 0)
+    scheduler = Scheduler(rules)
+    scheduler.offer(ONE, urgency=3, now=0)
+    interruption = Order(Act.INTERRUPT, ONE, f"preempted by {TWO}")
+    assert scheduler.offer(TWO, urgency=2, now=0) == [interruption]
+    assert scheduler.offer(THREE, urgency=1, now=0) == []
+    assert scheduler.leave(ONE, 0) == [Order(Act.START, THREE)]
+    assert scheduler.positions() == {TWO: (1, 1)}
+
+
 @pytest.mark.parametrize(
     ("rules", "running", "waiting"),
     [
