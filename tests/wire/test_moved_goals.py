@@ -19,6 +19,7 @@ from fibaction.wire.messages import (
     Failed,
     Feedback,
     Follow,
+    ListActions,
     Received,
     SendGoal,
     Why,
@@ -28,7 +29,7 @@ from fibaction.words.errors import (
     ConnectionLost,
     ServerFailed,
 )
-from fibaction.words.goals import Outcome
+from fibaction.words.goals import UNKNOWN_OUTCOME, Outcome
 from tests.wire.ends import (
     GOAL_ID,
     PATIENT,
@@ -158,3 +159,26 @@ async def test_a_goal_that_was_closed_while_it_was_lost_asks_for_the_end_only() 
         client.other.calls.adopt(goal, client.lose)
         asked = await other.hear(Follow)
         assert asked.credit is None
+
+
+async def test_what_was_not_answered_can_be_ended_alone() -> None:
+    async with two_servers() as (client, one, _):
+        goal = await client.send(one)
+        async with Running(client.one.actions) as asking:
+            await one.hear(ListActions)
+            client.one.calls.fail_unanswered(GONE)
+            with pytest.raises(ConnectionLost, match="the worker is gone"):
+                await asking.answer()
+        await one.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
+        assert await outcome_of(goal) == ENDED
+
+
+async def test_a_lost_goal_can_be_finished_in_another_attempt() -> None:
+    async with two_servers() as (client, one, _):
+        goal = await client.send(one)
+        await one.say(Feedback(goal.id, 1, b""))
+        await settled()
+        client.one.end(GONE)
+        goal.finish(UNKNOWN_OUTCOME, 2, 3)
+        assert await numbers_of(goal) == [1]
+        assert (goal.attempt, goal.dropped) == (3, 2)

@@ -228,6 +228,27 @@ async def test_a_goal_whose_client_does_not_come_back_is_canceled_after_the_grac
         ]
 
 
+@in_virtual_time()
+async def test_a_client_that_comes_back_while_its_goal_is_being_canceled_is_told_the_end() -> None:
+    asked, go = anyio.Event(), anyio.Event()
+
+    async def decide(goal: Any) -> None:
+        asked.set()
+        await go.wait()
+
+    server = running(anyio.Event(), on_cancel=decide)
+    async with serving(server, then="cancel", grace=10) as served:
+        client = await served.greet()
+        await client.send(1)
+        client.channel.cut()
+        await asked.wait()
+        client = await served.greet()
+        assert (await client.ask(follow(None), Following)).status == EXECUTING
+        go.set()
+        ended = [message for message in await client.hear_all() if type(message) is Ended]
+        assert [message.status for message in ended] == [GoalStatus.CANCELED]
+
+
 async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
     async with serving(held(), then="cancel") as served:
         client, other = await served.greet(ANN), await served.greet(BOB)

@@ -159,7 +159,8 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
     async with serving(held()) as served:
         client = await served.greet()
         with logged() as lines:
-            await client.say(Goodbye("done\nWARNING:fibaction.wire:10.0.0.1:80: all is lost"))
+            last = Goodbye("done\nWARNING:fibaction.wire:10.0.0.1:80: all is lost")
+            await client.say(last, ListActions(1))
             await client.hear_the_end()
         ((level, text),) = texts(lines)
         assert (level, "\n" in text) == (logging.INFO, False)
