@@ -6,6 +6,7 @@ import json
 import signal
 import time
 from collections.abc import Callable, Iterator
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -14,7 +15,8 @@ import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from fibaction.cli.process.ros_nodes import say_names
-from fibaction_transports.ros2 import Node, open_node
+from fibaction_transports.ros2 import EndQos, Node, open_node
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 from tests.cli.conftest import Run, Start
 from tests.support.processes import ended, lines_until
 from tests.support.ros_domain import own_domain
@@ -212,6 +214,38 @@ def test_a_node_that_does_not_answer_keeps_no_other_from_being_listed(
     assert "  use_sim_time\n" in told.out
     assert told.err == "Error: no answer in 1 s from /a\n"
     assert told.code == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("/b/list_parameters", "/b/list_parameters: rcl_interfaces/srv/ListParameters_Response"),
+        ("/b-c/list_parameters", "'/b-c' is not a valid name in ROS"),
+    ],
+)
+def test_a_node_whose_answer_or_name_is_malformed_keeps_no_other_from_being_listed(
+    robot: Robot, here: Run, name: str, problem: str
+) -> None:
+    ros = robot.node._ros
+    service = ros.types.called_type("rcl_interfaces/srv/ListParameters").service
+    response = copy(service.Response)
+    response.codec = copy(response.codec)
+    response.codec.encode = lambda value: b"\0\1\0\0\xff\xff\xff\xff"
+    wrong = ServiceType(service.Request, response)
+
+    async def serve() -> Any:
+        def take(header: Any, request: Any) -> None:
+            part.answer(header, None)
+
+        part = ros.provider(name, wrong, EndQos(), take)
+        return part
+
+    part = robot.do(serve)
+    told = here("param", "list", *robot.at)
+    robot.do(ros.remove, part)
+    assert (told.code, told.out.partition("\n")[0]) == (6, "/robot:")
+    assert told.err.startswith(f"Error: {problem}")
+    assert told.err.count("\n") == 1
 
 
 def test_what_is_not_there_is_one_sentence(robot: Robot, here: Run) -> None:

@@ -23,7 +23,7 @@ from fibaction.cli.process.ros_nodes import (
     types_option,
 )
 from fibaction.types.ros_messages import plain_value
-from fibaction.words.errors import ConnectionLost
+from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.plain_data import is_list
 
 
@@ -102,23 +102,29 @@ def list_parameters(node_name: str | None, timeout: float, url: str) -> None:
     async def act(node: Any) -> None:
         if node_name:
             return _say_parameters(await node.parameters(node_name, timeout=timeout).list())
-        found: dict[str, list[str] | None] = {}
+        found: dict[str, list[str]] = {}
+        silent: list[str] = []
+        wrong: list[str] = []
 
         async def ask(one: str) -> None:
             try:
                 found[one] = await node.parameters(one, timeout=timeout).list()
-            except (TimeoutError, ConnectionLost):
-                found[one] = None
+            except TimeoutError:
+                silent.append(one)
+            except (TransportError, ProtocolError) as exc:
+                wrong.append(str(exc))
 
         async with anyio.create_task_group() as tasks:
             for one in await settled(node, _nodes) - {node.name}:
                 tasks.start_soon(ask, one)
         for one, names in sorted(found.items()):
-            if names is not None:
-                say(printable(f"{one}:"))
-                _say_parameters(names)
-        if silent := ", ".join(sorted(one for one, names in found.items() if names is None)):
-            raise Failure(f"no answer in {timeout:g} s from {silent}", ExitCode.UNREACHABLE)
+            say(printable(f"{one}:"))
+            _say_parameters(names)
+        wrong.sort()
+        if silent:
+            wrong.insert(0, f"no answer in {timeout:g} s from {', '.join(sorted(silent))}")
+        if wrong:
+            raise Failure("; ".join(wrong), ExitCode.UNREACHABLE)
 
     run_at(url, act)
 
