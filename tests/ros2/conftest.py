@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import faulthandler
 import os
+import uuid
 from collections.abc import Generator, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.ros2.zenoh_peer import SCHEMES, router_for
 from tests.support.ipv6 import has_ipv6
 from tests.support.ros_domain import claim_domain, remove_left_ports
 
@@ -60,6 +62,33 @@ else:
 def ros_log_files(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep the files of ROS's log out of the home folder."""
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """Run on asyncio, unless a module has asyncio and trio."""
+    return "asyncio"
+
+
+@pytest.fixture(params=["ros2", "dds"])
+def scheme(request: pytest.FixtureRequest) -> str:
+    """The way of our node: through rclpy, or over our own DDS."""
+    return str(request.param)
+
+
+@pytest.fixture(scope="module", params=SCHEMES)
+def way(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The way of our end to stock nodes: through rclpy, over our own DDS, or over Zenoh
+    where its peer is.
+    """
+    with router_for(request.param):
+        yield request.param
+
+
+@pytest.fixture
+def url() -> str:
+    """A URL with a namespace of its own."""
+    return f"ros2://?namespace=/t{uuid.uuid4().hex}"
 
 
 @pytest.fixture

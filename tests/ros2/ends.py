@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from functools import cache
 from queue import Queue
@@ -11,14 +11,14 @@ from typing import Any
 
 import anyio
 
-from fibaction import ActionClient, ActionServer, GoalHandle, GoalID, connect, serve
+from fibaction import ActionServer, GoalHandle, GoalID, connect, serve
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.action_client import RosActionClient
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.on_rclpy.ends import profile_of
 from fibaction_transports.ros2.on_rclpy.rcl import GoalInfoMessage, uuid_of
 from tests.ros2.spun import spun_node
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 from tests.support.processes import PATIENCE
 
 Items = AsyncGenerator[Feedback | Result, None]
@@ -33,19 +33,6 @@ async def forever(goal: GoalHandle[Goal]) -> Items:
     yield Feedback([1])
     await anyio.sleep_forever()
     yield Result([])
-
-
-@asynccontextmanager
-async def both_ends(
-    url: str, execute: Callable[[GoalHandle[Goal]], Items] = fibonacci, **settings: Any
-) -> AsyncGenerator[ActionClient[Goal, Feedback, Result], None]:
-    """Serve an executor, and give a client."""
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, execute, **settings), url),
-            connect(url, FIBONACCI) as client,
-        ):
-            yield client
 
 
 @asynccontextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import uuid
-from collections.abc import AsyncGenerator, Callable, Generator
+from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from typing import Any
 
@@ -53,9 +53,3 @@ async def beside_rclpy(
     with anyio.fail_after(patience), spun_node(space, "stock") as stock:
         async with open_node(f"{scheme}://ours", namespace=space, arguments=[]) as node:
             yield node, stock
-
-
-async def until(look: Callable[[], object]) -> None:
-    """Wait until what is looked at is so."""
-    while not look():  # noqa: ASYNC110 - what is looked at tells of no change
-        await anyio.sleep(0.01)

@@ -40,16 +40,12 @@ from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from fibaction_transports.ros2.on_rclpy.waitable import Responses
 from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import Items, Undecoded, both_ends, client_of, forever, new_url, node_of
+from tests.ros2.ends import Items, Undecoded, client_of, forever, node_of
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.ros_ends import both_ends
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture
-def url() -> str:
-    return new_url()
 
 
 @pytest.fixture(autouse=True)
@@ -200,8 +196,7 @@ async def test_of_500_goals_at_once_few_wait_for_an_answer_at_a_time(
 
     monkeypatch.setattr(ServiceClient, "send", counts)
     monkeypatch.setattr(service_client, "FIRST_TIMEOUT", 10.0)
-    monkeypatch.setattr("tests.ros2.ends.PATIENCE", 30)
-    async with both_ends(url) as client, anyio.create_task_group() as tasks:
+    async with both_ends(url, patience=30) as client, anyio.create_task_group() as tasks:
         for _ in range(500):
             tasks.start_soon(client.call, Goal(2))
     assert most <= service_client.AT_ONCE
@@ -300,31 +295,6 @@ async def test_a_rejected_goal_is_rejected_although_its_result_was_requested(url
 
 
 # Ends of a wait
-
-
-async def test_a_wait_ends_when_the_server_goes_away(url: str) -> None:
-    ends: list[str] = []
-
-    async def wait(ending: Any) -> None:
-        try:
-            await ending
-        except ConnectionLost as exc:
-            ends.append(str(exc))
-
-    with anyio.fail_after(PATIENCE):
-        async with connect(url, FIBONACCI) as client, anyio.create_task_group() as tasks:
-            server = ActionServer(FIBONACCI, forever)
-            async with server, serve(server, url):
-                await client.wait_for_server()
-                goal = await client.send_goal(Goal(1))
-                statuses = await client.endpoint.status()
-                while (info := await statuses.receive()) is not None:
-                    if info.status is GoalStatus.EXECUTING:
-                        break
-                tasks.start_soon(wait, goal.outcome())
-                tasks.start_soon(wait, statuses.receive())
-                await anyio.wait_all_tasks_blocked()
-    assert ends == ["the server of 'fibonacci' has gone away"] * 2
 
 
 async def test_a_request_fails_after_ros_was_shut_down(url: str) -> None:
@@ -541,12 +511,6 @@ async def test_peers_are_the_nodes_that_serve_and_that_subscribe(url: str) -> No
             while not (peers.servers and peers.clients):  # one may be known before the other
                 peers = await connection.peers("fibonacci")
             assert peers == ActionPeers((f"{place}/robot",), (f"{place}/operator",))
-
-
-async def test_an_action_without_servers_and_clients_has_no_peers(url: str) -> None:
-    with anyio.fail_after(PATIENCE):
-        async with connect(f"{url}&discovery_timeout=0.1") as connection:
-            assert await connection.peers("fibonacci") == ActionPeers()
 
 
 @pytest.mark.parametrize("is_scouted", [True, False])

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import AsyncGenerator
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import anyio
 import msgspec
 import pytest
 from hypothesis import given, strategies
 
-from fibaction import Action, ActionServer, GoalHandle, connect, serve
 from fibaction.action_files import load_action
 from fibaction.interfaces.definitions import FieldType, InterfaceError, MessageDefinition
 from fibaction.interfaces.files import read_action
-from fibaction.interfaces.parser import parse_action, parse_message
+from fibaction.interfaces.parser import parse_message
 from fibaction.interfaces.structs import make_structs
 from fibaction_transports.ros2.convert.message_classes import message_kind
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
@@ -138,17 +135,6 @@ def test_a_message_is_read_as_ros_s_parser_reads_it(path: Path) -> None:
             assert comment.split() == " ".join(other.annotations.get("comment", ())).split()
 
 
-@every_action
-def test_an_action_is_read_as_ros_s_parser_reads_it(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    goal, result, feedback = parse_action(text, path)
-    theirs = _parser.parse_action_string("a_msgs", "It", text)
-
-    assert described(goal) == described_by_ros(theirs.goal)
-    assert described(result) == described_by_ros(theirs.result)
-    assert described(feedback) == described_by_ros(theirs.feedback)
-
-
 kinds = strategies.sampled_from(
     [
         *("int8", "uint64", "byte", "bool", "float32", "string", "wstring", "string<=4"),
@@ -191,29 +177,3 @@ def test_what_ros_s_parser_takes_is_taken_and_means_the_same(line: str) -> None:
 
 
 # Over ROS
-
-
-@pytest.mark.parametrize("backend", ["asyncio", "trio"])
-def test_a_loaded_action_talks_to_the_type_that_ros_has_built(backend: str) -> None:
-    loaded = load_action(SHARE / "arduinobot_msgs" / "action" / "Fibonacci.action")
-    built = Action.from_ros("arduinobot_msgs/action/Fibonacci", name="fibonacci")
-
-    async def fibonacci(goal: GoalHandle[Any]) -> AsyncGenerator[Any, None]:
-        sequence = [0, 1]
-        for _ in range(goal.request.order):
-            sequence.append(sequence[-1] + sequence[-2])
-            yield loaded.feedback.type(partial_sequence=sequence)
-        yield loaded.result.type(sequence=sequence)
-
-    async def use() -> None:
-        with anyio.fail_after(30):
-            async with (
-                serve(ActionServer(loaded, fibonacci), "ros2://"),
-                connect("ros2://?discovery_timeout=20", built) as client,
-                client.send_goal(built.goal.type(order=3)) as goal,
-            ):
-                seen = [feedback.partial_sequence async for feedback in goal.feedback]
-                assert seen == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
-                assert (await goal.result()).sequence == [0, 1, 1, 2, 3]
-
-    anyio.run(use, backend=backend)

@@ -40,28 +40,14 @@ from fibaction_transports.ros2.server.action_server import RosActionServer, Serv
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import (
-    Items,
-    Undecoded,
-    both_ends,
-    client_of,
-    forever,
-    new_url,
-    raw_client,
-    result_of,
-    send,
-)
+from tests.ros2.ends import Items, Undecoded, client_of, forever, raw_client, result_of, send
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.ros_ends import both_ends
 
 pytestmark = pytest.mark.anyio
 
 TRANSIENT_LOCAL = EndQos(depth=1, durability="transient_local")
-
-
-@pytest.fixture
-def url() -> str:
-    return new_url()
 
 
 async def test_a_goal_sent_twice_while_it_is_decided_is_accepted_once(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator
 from typing import Any
 
 import anyio
@@ -17,7 +17,7 @@ from tests.ros2.stock import orders
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import Peer, peer
 from tests.ros2.stock.waiting import eventually
-from tests.ros2.zenoh_peer import SCHEMES, middleware, router_for, url_of
+from tests.ros2.zenoh_peer import middleware, url_of
 from tests.support.article import article
 
 pytestmark = pytest.mark.anyio
@@ -32,15 +32,8 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-@pytest.fixture(scope="module", params=SCHEMES)
-def scheme(request: pytest.FixtureRequest) -> Iterator[str]:
-    """The way of our end: through rclpy, over our own DDS, or over Zenoh where its peer is."""
-    with router_for(request.param):
-        yield request.param
-
-
 @pytest.fixture(scope="module")
-async def ours(anyio_backend: str, scheme: str) -> AsyncGenerator[Behaviour, None]:
+async def ours(anyio_backend: str, way: str) -> AsyncGenerator[Behaviour, None]:
     behaviour = Behaviour()
     servers = [
         behaviour.server("ours", result_timeout=60),
@@ -49,13 +42,13 @@ async def ours(anyio_backend: str, scheme: str) -> AsyncGenerator[Behaviour, Non
         behaviour.server("line", schedule=Schedule(concurrency=1, queue=1)),
         ActionServer(article),
     ]
-    async with serve(servers, url_of(scheme, "our_server")):
+    async with serve(servers, url_of(way, "our_server")):
         yield behaviour
 
 
 @pytest.fixture(scope="module")
-async def stock(ours: Behaviour, scheme: str) -> AsyncGenerator[Peer, None]:
-    async with peer("client", **middleware(scheme)) as found:
+async def stock(ours: Behaviour, way: str) -> AsyncGenerator[Peer, None]:
+    async with peer("client", **middleware(way)) as found:
         assert await found.ask("ready", action="ours")
         yield found
 
@@ -400,8 +393,8 @@ async def test_services_publish_no_events_of_introspection(stock: Peer) -> None:
 # Clients that do wrong
 
 
-async def test_a_client_of_another_type_does_not_affect_others(stock: Peer, scheme: str) -> None:
-    async with peer("client", **middleware(scheme)) as other:
+async def test_a_client_of_another_type_does_not_affect_others(stock: Peer, way: str) -> None:
+    async with peer("client", **middleware(way)) as other:
         await other.ask("send_other_type", action="ours")
         await lives(stock)
         assert not await other.ask("send_other_type", action="ours")  # it finds no server
@@ -409,9 +402,9 @@ async def test_a_client_of_another_type_does_not_affect_others(stock: Peer, sche
 
 
 async def test_a_client_that_is_killed_does_not_affect_others(
-    stock: Peer, ours: Behaviour, scheme: str
+    stock: Peer, ours: Behaviour, way: str
 ) -> None:
-    async with peer("client", **middleware(scheme)) as other:
+    async with peer("client", **middleware(way)) as other:
         goal = await accepted(other, orders.WAITS)
         other.process.kill()
 

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import uuid
 from collections.abc import Generator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ import pytest
 from std_msgs.msg import String
 from test_msgs.srv import BasicTypes
 
-from tests.cli.conftest import Terminal
 from tests.ros2.spun import spun_node
 
 ROOT = Path(__file__).parents[2]
@@ -122,38 +120,6 @@ def test_a_goal_that_is_rejected_or_does_not_fit_ends_with_its_own_exit_code() -
     fibaction("send_goal", "fibonacci", "order: -1", code=4)
     fibaction("send_goal", "fibonacci", "ordr: 1", code=2)
     fibaction("send_goal", "fibonacci", "order: 99999999999", code=2)
-
-
-def test_a_goal_that_was_left_running_is_listed_followed_and_canceled() -> None:
-    (accepted,) = (
-        event
-        for event in events(
-            fibaction("send_goal", "fibonacci", "order: 46", "--detach", "--json", code=0)
-        )
-        if event["event"] == "accepted"
-    )
-    goal_id = str(accepted["goal_id"])
-    listed = events(fibaction("goals", "fibonacci", "--json", code=0))
-    assert goal_id in [goal["goal_id"] for goal in listed]
-    with subprocess.Popen(
-        [COMMAND, "-u", URL, "attach", goal_id, "fibonacci"], stdout=subprocess.PIPE, text=True
-    ) as attached:
-        try:
-            assert attached.stdout is not None
-            assert attached.stdout.readline()  # it follows the goal
-            fibaction("cancel", "fibonacci", goal_id, code=0)
-            attached.stdout.read()
-            assert attached.wait(PATIENCE) == 3
-        finally:
-            attached.kill()
-
-
-def test_ctrl_c_at_a_terminal_cancels_the_goal_and_says_how_it_ended() -> None:
-    with closing(Terminal("send_goal", "fibonacci", "order: 46", "-f", url=URL)) as shown:
-        shown.until("partial_sequence")
-        shown.press("\x03")
-        assert shown.ends() == 3
-        assert "CANCELED" in shown.text
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from fibaction_transports.ros2.on_rclpy.rcl import middleware
-from tests.support.ros_domain import claim_domain
 
 CONFTEST = Path(__file__).with_name("conftest.py")
 SKIPPING = """
@@ -57,18 +56,6 @@ def run(folder: Path, *, required: bool, conftest: str | None = None) -> tuple[i
         timeout=50,
     )
     return ended.returncode, ended.stdout
-
-
-def test_a_domain_is_claimed_by_one_run_at_a_time() -> None:
-    first, claim = claim_domain(7)
-    second, another = claim_domain(first)
-    claim.close()
-    third, again = claim_domain(first)
-
-    assert first != second
-    assert third == first
-    for socket in (another, again):
-        socket.close()
 
 
 def test_a_skip_is_a_failure_where_ros_is_required(tmp_path: Path) -> None:

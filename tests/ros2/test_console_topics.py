@@ -9,10 +9,5 @@ from tests.cli.test_sources import check_newest
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 async def test_a_topic_of_a_node_over_dds_is_read_through_rclpy() -> None:
     await check_newest({"arm": "ros2://"}, "arm/chatter", "dds://talker")

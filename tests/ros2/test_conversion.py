@@ -177,20 +177,15 @@ def test_single_values_nested_messages_and_arrays_come_back_as_they_were(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, GREATEST])
-@pytest.mark.parametrize("name", ["a_float32", "a_float64"])
-def test_a_float_may_be_infinite_or_none_or_just_great(name: str, value: float) -> None:
-    codec = UNTYPED.goal
-    message = over_the_wire(codec.to_ros(encode({name: value})))
-    assert repr(decode(codec.from_ros(message))[name]) == repr(value)
-
-
-@pytest.mark.parametrize("count", [3, LARGE_ARRAY])
-@pytest.mark.parametrize("name", ["float32s", "float64s"])
-def test_floats_in_an_array_may_be_infinite_or_none(name: str, count: int) -> None:
-    numbers = [math.nan, math.inf, -math.inf] * count
-    codec = UNTYPED.result
-    message = over_the_wire(codec.to_ros(encode({name: numbers})))
-    assert repr(decode(codec.from_ros(message))[name]) == repr(numbers)
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("a_float32", 0), ("a_float64", 0), ("float32s", 3), ("float64s", LARGE_ARRAY)],
+)
+def test_a_float_may_be_infinite_or_none_or_just_great(name: str, count: int, value: float) -> None:
+    codec = codec_of(UNTYPED, name)
+    given = [value] * count or value
+    message = over_the_wire(codec.to_ros(encode({name: given})))
+    assert repr(decode(codec.from_ros(message))[name]) == repr(given)
 
 
 def test_a_float_and_an_array_of_floats_take_ints() -> None:
@@ -305,37 +300,26 @@ def test_a_nested_message_may_be_null() -> None:
             (f"an_int{n}", 2 ** (n - 1), "", f"Expected `int` <= {2 ** (n - 1) - 1}")
             for n in (8, 16, 32, 64)
         ),
-        *(
-            (f"an_int{n}", -(2 ** (n - 1)) - 1, "", f"Expected `int` >= {-(2 ** (n - 1))}")
-            for n in (8, 16, 32)
-        ),
         *((f"a_uint{n}", 2**n, "", f"Expected `int` <= {2**n - 1}") for n in (8, 16, 32)),
         *((f"a_uint{n}", -1, "", "Expected `int` >= 0") for n in (8, 16, 32, 64)),
         ("a_bool", 1, "", "Expected `bool`, got `int`"),
         ("a_byte", 256, "", "Expected `int` <= 255"),
         ("a_float32", 1e39, "", "Expected `float` of 32 bits"),
-        ("a_float32", -(2.0**128 - 2.0**103), "", "Expected `float` of 32 bits"),
         ("a_float64", "1", "", "Expected `float`, got `str`"),
         ("an_int32", 1.5, "", "Expected `int`, got `float`"),
         ("a_string", "a\0b", "", "Expected `str` without a NUL"),
         ("a_bounded_string", "123456", "", "Expected `str` of length <= 5"),
-        ("a_bounded_wstring", "123456", "", "Expected `str` of length <= 5"),
         ("fixed_bools", [True], "", "Expected `array` of length >= 2"),
         ("fixed_bytes", b"abc", "", "Expected `bytes` of length <= 2"),
-        ("fixed_uint8s", b"a", "", "Expected `bytes` of length >= 2"),
         ("fixed_int32s", [1, 2, 2**31], "[2]", "Expected `int` <= 2147483647"),
-        ("fixed_strings", ["", "\0"], "[1]", "Expected `str` without a NUL"),
         ("bounded_int16s", [0] * 6, "", "Expected `array` of length <= 5"),
-        ("bytes", [1, 256], "[1]", "Expected `int` <= 255"),
         ("int8s", b"ab", "", "Expected `array`, got `bytes`"),
         ("float64s", [1.0, [2.0]], "[1]", "Expected `float`, got `array`"),
         ("int32s", 1, "", "Expected `array`, got `int`"),
         ("int32s", [0] * LARGE_ARRAY + [2**31], f"[{LARGE_ARRAY}]", "Expected `int` <= 2147483647"),
-        ("int32s", [2**31] * LARGE_ARRAY, "[0]", "Expected `int` <= 2147483647"),
         ("int32s", [0.5] * LARGE_ARRAY, "[0]", "Expected `int`, got `float`"),
         ("float32s", [1e39] * LARGE_ARRAY, "[0]", "Expected `float` of 32 bits"),
         ("fixed_int32s", [0] * LARGE_ARRAY, "", "Expected `array` of length <= 3"),
-        ("bounded_int32s", [0] * LARGE_ARRAY, "", "Expected `array` of length <= 5"),
         ("point", {"x": "1"}, ".x", "Expected `float`, got `str`"),
         (
             "pose",
@@ -356,12 +340,6 @@ def test_a_nested_message_may_be_null() -> None:
             datetime.datetime(2024, 1, 1),
             "",
             "Expected `datetime` with a timezone component",
-        ),
-        (
-            "time",
-            datetime.datetime(2039, 1, 1, tzinfo=datetime.UTC),
-            "",
-            "Expected a time within 2**31 seconds",
         ),
         (
             "times",
@@ -437,11 +415,6 @@ def check_that_it_is_converted_or_rejected(payload: bytes) -> None:
 
 
 @example(b"\x81\x80\x01")
-@given(strategies.binary(max_size=40))
-def test_any_bytes_give_a_message_or_a_protocol_error(payload: bytes) -> None:
-    check_that_it_is_converted_or_rejected(payload)
-
-
 @given(damaged())
 def test_a_damaged_payload_gives_a_message_or_a_protocol_error(payload: bytes) -> None:
     check_that_it_is_converted_or_rejected(payload)
@@ -567,22 +540,23 @@ def test_a_time_is_received_as_text_to_the_nanosecond() -> None:
     assert over == "2024-02-29T12:00:04.294967295Z"
 
 
-@given(strategies.datetimes(datetime.datetime(1902, 1, 1), datetime.datetime(2038, 1, 1)))
-def test_any_datetime_comes_back_as_it_was(value: datetime.datetime) -> None:
-    value = value.replace(tzinfo=datetime.UTC)
-    codec = WITH_TIMES.feedback
-    back = decode(codec.from_ros(codec.to_ros(encode({"time": value}))))["time"]
-    assert msgspec.convert(back, datetime.datetime) == value
-
-
-@given(strategies.timedeltas(-datetime.timedelta(days=24855), datetime.timedelta(days=24855)))
-def test_any_timedelta_comes_back_as_it_was(value: datetime.timedelta) -> None:
-    codec = WITH_TIMES.feedback
-    back = decode(codec.from_ros(codec.to_ros(encode({"duration": value}))))["duration"]
-    assert msgspec.convert(back, datetime.timedelta) == value
-
-
 WITH_TIMES = codecs(time=datetime.datetime, duration=datetime.timedelta)
+times = strategies.datetimes(
+    datetime.datetime(1902, 1, 1),
+    datetime.datetime(2038, 1, 1),
+    timezones=strategies.just(datetime.UTC),
+)
+spans = strategies.timedeltas(-datetime.timedelta(days=24855), datetime.timedelta(days=24855))
+
+
+@given(times, spans)
+def test_any_datetime_and_timedelta_come_back_as_they_were(
+    time: datetime.datetime, span: datetime.timedelta
+) -> None:
+    codec = WITH_TIMES.feedback
+    back = decode(codec.from_ros(codec.to_ros(encode({"time": time, "duration": span}))))
+    assert msgspec.convert(back["time"], datetime.datetime) == time
+    assert msgspec.convert(back["duration"], datetime.timedelta) == span
 
 
 @pytest.mark.parametrize(
@@ -733,9 +707,7 @@ class Point(msgspec.Struct):
     ("name", "type_"),
     [
         ("an_int32", Level),
-        ("an_int32", Literal[1, 2]),
         ("an_int32", int | str),
-        ("an_int32", int | None),
         ("an_int32", Literal[1, "a", None]),
         ("an_int32", Annotated[int, Meta(ge=0)]),
         ("a_bool", Literal[True]),
@@ -746,9 +718,7 @@ class Point(msgspec.Struct):
         ("fixed_int32s", Annotated[list[int], Meta(min_length=3, max_length=3)]),
         ("strings", set[str]),
         ("strings", list),
-        ("strings", list[Any]),
         ("point", dict[str, float]),
-        ("point", dict[str, Any]),
         ("point", dict),
         ("point", Any),
         ("parts", list[dict[str, Any]]),
@@ -760,19 +730,16 @@ def test_a_type_that_can_hold_the_values_of_ros_matches(name: str, type_: Any) -
 
 
 ROS_HAS, NO_MATCH = "the ROS type has", "and the action has none that matches"
-A_POINT = f"{ROS_HAS} the struct geometry_msgs/Point"
+A_POSE = f"{ROS_HAS} the struct geometry_msgs/PoseStamped"
 
 
 @pytest.mark.parametrize(
     ("path", "type_", "ros", "ours"),
     [
         ("goal.an_int32", str, "int32", "a string"),
-        ("goal.an_int32", bool, "int32", "a bool"),
-        ("goal.an_int32", Colour, "int32", "a string"),
         ("goal.an_int32", Cat, "int32", "a struct"),
         ("goal.an_int32", type(None), "int32", "nothing (null)"),
         ("goal.a_float32", int, "float32", "an int"),
-        ("goal.a_char", bytes, "uint8", "bytes"),
         ("goal.a_string", bytes, "string", "bytes"),
         ("goal.a_string", Aware, "string", "a datetime"),
         ("goal.default_fixed", tuple[int, int], "int32[3]", "2 elements"),
@@ -792,39 +759,18 @@ def test_a_type_that_does_not_match_its_ros_type_is_reported(
     assert mismatches(**{name: type_}) == [line]
 
 
-@pytest.mark.parametrize(
-    ("name", "type_", "line"),
-    [
-        (
-            "an_int32",
-            str | float | None,
-            f"goal.an_int32: {ROS_HAS} int32, {NO_MATCH}: a string, a float",
-        ),
-        ("an_int32", None, "goal.an_int32 (int32): the action has no such field"),
-        ("point", None, "feedback.point (geometry_msgs/Point): the action has no such field"),
-        (
-            "point",
-            Cat | Dog,
-            f"feedback.point: {A_POINT}, {NO_MATCH}: a struct, a struct",
-        ),
-    ],
-    ids=repr,
-)
-def test_a_field_without_a_matching_type_is_reported(name: str, type_: Any, line: str) -> None:
-    assert mismatches(**{name: type_}) == [line]
-
-
 def test_all_mismatches_are_reported_at_once() -> None:
     assert mismatches(
-        an_int32=str,
+        an_int32=str | float | None,
         a_string=None,
+        pose=Cat | Dog,
         int8s=bytes,
         point=Point,
         time=dict[str, str],
         durations=list[dict[str, str]],
         parts=list[dict[str, int]],
     ) == [
-        f"goal.an_int32: {ROS_HAS} int32, the action has a string",
+        f"goal.an_int32: {ROS_HAS} int32, {NO_MATCH}: a string, a float",
         "goal.a_string (string): the action has no such field",
         f"feedback.parts[].name: {ROS_HAS} string, the action has an int",
         f"feedback.parts[].position: {ROS_HAS} float64[3], the action has an int",
@@ -836,6 +782,7 @@ def test_all_mismatches_are_reported_at_once() -> None:
         f"feedback.point.y: {ROS_HAS} float64, the action has an int",
         "feedback.point.z (float64): the action has no such field",
         "feedback.point.w: the ROS type has no such field",
+        f"feedback.pose: {A_POSE}, {NO_MATCH}: a struct, a struct",
         f"result.int8s: {ROS_HAS} int8[], the action has bytes",
     ]
 
@@ -920,14 +867,10 @@ def test_a_schema_that_is_nested_without_end_is_a_transport_error() -> None:
         NOTHING.codecs(ActionInfo("deep", goal=schema))
 
 
-def test_codecs_are_made_once_for_each_description() -> None:
-    info = ActionInfo("once")
-    assert NOTHING.codecs(info) is NOTHING.codecs(ActionInfo("once"))
-    assert NOTHING.codecs(info) is not NOTHING.codecs(ActionInfo("twice"))
-
-
-def test_only_so_many_codecs_are_kept() -> None:
+def test_codecs_are_made_once_for_each_description_and_few_are_kept() -> None:
     first = NOTHING.codecs(ActionInfo("a"))
+    assert NOTHING.codecs(ActionInfo("a")) is first
+    assert NOTHING.codecs(ActionInfo("b")) is not first
     for number in range(200):
         NOTHING.codecs(ActionInfo(f"a{number}"))
     assert NOTHING.codecs(ActionInfo("a")) is not first
@@ -1037,33 +980,6 @@ def test_a_field_that_ros_cannot_handle_is_named() -> None:
 
 
 # Types that are made from ROS
-
-
-def test_a_description_has_the_schemas_of_the_ros_type() -> None:
-    info = find("arduinobot_msgs/action/Fibonacci").info("fibonacci")
-    assert (info.name, info.type_name) == ("fibonacci", "arduinobot_msgs/action/Fibonacci")
-    goal = info.goal["$defs"]["Fibonacci_Goal"]
-    assert goal["properties"] == {
-        "order": {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1, "default": 0}
-    }
-    assert goal["additionalProperties"] is False
-    assert info.result["$defs"]["Fibonacci_Result"]["properties"]["sequence"]["type"] == "array"
-
-
-def test_types_from_ros_have_its_fields_its_defaults_and_its_constants() -> None:
-    goal_type, feedback_type, result_type = message_types(EVERYTHING.type_name)
-    goal, feedback, result = goal_type(), feedback_type(), result_type()
-    assert goal_type.__name__ == "Everything_Goal"
-    assert (goal.an_int32, goal.default_int32, goal.default_string) == (0, -32, 'it\'s "said"')
-    assert (goal.default_byte, goal.default_bytes) == (7, b"\x01\x02\xff")
-    assert (goal.default_fixed, goal.default_strings) == ([1, 2, 3], ["one", "two"])
-    assert (goal_type.FIRST, goal_type.LAST, goal_type.HALF) == (1, 10, 0.5)
-    assert (goal_type.GREETING, goal_type.ALWAYS) == ("hello", True)
-    assert feedback.pose.pose.orientation.w == 1.0
-    assert [part.name for part in feedback.fixed_parts] == ["a part", "a part"]
-    assert (feedback.part.UNKNOWN, feedback.time.sec) == (-1, 0)
-    assert (result.fixed_int32s, result.fixed_bytes, result.int32s) == ([0, 0, 0], b"\0\0", [])
-    assert all("__DEFAULT" not in name for name in dir(goal_type))
 
 
 def test_two_values_of_a_type_from_ros_share_nothing() -> None:

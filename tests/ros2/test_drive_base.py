@@ -31,11 +31,6 @@ PROGRAM = Path(__file__).parents[2] / "examples" / "drive_base.py"
 STOPS_WITHIN = 0.1
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 @asynccontextmanager
 async def driven(
     scheme: str,

@@ -25,20 +25,16 @@ from fibaction_transports.ros2.names import count_topic
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.ros2.ends import Undecoded, both_ends, client_of, new_url
+from tests.ros2.ends import Undecoded, client_of, new_url
 from tests.ros2.stock.ours import action
 from tests.ros2.stock.process import peer
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.ros_ends import both_ends
 
 pytestmark = pytest.mark.anyio
 
 LOST = "feedback messages of goal"
-
-
-@pytest.fixture
-def url() -> str:
-    return new_url()
 
 
 class Withheld:

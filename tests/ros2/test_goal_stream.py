@@ -11,6 +11,7 @@ import pytest
 from fibaction import ConnectionLost, GoalID, GoalInfo, GoalStatus, Outcome
 from fibaction.border.abc import FeedbackItem, GoalUpdate
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import Undecoded
 
 pytestmark = pytest.mark.anyio

@@ -21,8 +21,9 @@ from fibaction_transports.ros2.node.graph_view import (
     no_scout,
 )
 from fibaction_transports.ros2.node.parts import EndInfo
-from fibaction_transports.ros2.node.ros_node import NodeLife
+from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
 from fibaction_transports.ros2.qos import EndQos
+from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio
 
@@ -202,3 +203,10 @@ async def test_without_a_scout_a_node_looks_by_itself() -> None:
         assert view is own
     with pytest.raises(TransportError, match="nothing looks at the domain 7"):
         no_scout(7)
+
+
+def test_ends_are_counted_in_the_graph_if_there_is_no_quicker_way() -> None:
+    node: Any = Graph()
+    node.ends = [end(b"a", "/robot1"), end(b"b", "")]
+    assert RosNode.count_publishers(node, TOPIC) == 2
+    assert RosNode.count_subscriptions(node, TOPIC) == 2

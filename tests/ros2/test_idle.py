@@ -25,11 +25,6 @@ WAYS = {
 }
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 async def test_idle_programs_use_next_to_no_processor_time() -> None:
     async with AsyncExitStack() as stack:
         peers = {

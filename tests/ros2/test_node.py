@@ -24,17 +24,15 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
     InvalidHandle,
     SingleThreadedExecutor,
-    check_for_type_support,
     rclpy,
     rclpy_qos,
-    uuid_of,
     waitable,
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node, users_node
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.spinner import Spinner
 from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
-from fibaction_transports.ros2.qos import EndQos, of_topic
+from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.spun import spun_node
@@ -89,20 +87,6 @@ async def test_a_part_that_is_gone_already_may_be_removed() -> None:
         for _ in range(2):
             ros.remove(part)
     assert threads() == set()
-
-
-@pytest.mark.parametrize(
-    ("words", "depth", "text"),
-    [
-        ("reliable", 0, "depth must be at least 1, not 0"),
-        ("quick", 1, "qos: 'quick' is not one of reliable, best_effort, .*, nor one of "),
-    ],
-)
-def test_a_quality_of_service_that_there_is_not_is_an_error(
-    words: str, depth: int, text: str
-) -> None:
-    with pytest.raises(ValueError, match=text):
-        of_topic(words, depth)
 
 
 async def test_an_error_in_the_thread_is_logged_and_told(
@@ -437,9 +421,3 @@ async def test_a_text_becomes_one_line_of_the_log_of_ros(
 
     assert kept[0] == "a\\x0ab\\x1b\\ud800"
     assert len(kept[1]) == 2000
-
-
-def test_the_inner_parts_of_rclpy_that_are_used_are_there() -> None:
-    assert waitable.Waitable is RosWaitable.__mro__[1]
-    assert uuid_of(bytes(range(16))).tolist() == list(range(16))
-    assert callable(check_for_type_support)

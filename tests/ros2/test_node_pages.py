@@ -24,12 +24,6 @@ CONFIGURE, ACTIVATE, DEACTIVATE = 1, 3, 4
 SUCCEEDED, ABORTED = 4, 6
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    """The programs choose theirs."""
-    return "asyncio"
-
-
 def with_async_node(page: str, folder: Path) -> str:
     """Return the page with an AsyncNode that this release of ROS has: an imitation, if need be."""
     line = "from rclpy.experimental import AsyncNode"

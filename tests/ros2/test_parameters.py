@@ -26,11 +26,6 @@ from tests.support.processes import PATIENCE
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 def over_dds(settings: NodeSettings) -> AbstractAsyncContextManager[DdsNode]:
     return DdsAdapter(settings, DdsSettings()).open()
 

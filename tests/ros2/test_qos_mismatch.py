@@ -13,24 +13,15 @@ from rclpy.action import GoalResponse
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fibaction import ActionServer, ServerNotFound, connect, serve
-from fibaction_transports.ros2.client.mismatches import explain_mismatch
+from fibaction_transports.ros2.client.diagnosis import explain_mismatch
 from fibaction_transports.ros2.settings import RosSettings
-from tests.ros2.ends import client_of, new_url
+from tests.ros2.ends import client_of
 from tests.ros2.spun import spun_node
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.ros_ends import both_ends
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture
-def url() -> str:
-    return new_url()
 
 
 def execute(handle: Any) -> Any:
@@ -117,12 +108,8 @@ async def test_a_client_that_offers_too_little_is_named(url: str) -> None:
 
 
 async def test_nothing_is_said_of_a_server_that_matches(url: str) -> None:
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), url),
-            connect(url, FIBONACCI) as client,
-        ):
-            await client.wait_for_server()
-            presence = client_of(client.endpoint).presence
-            said = explain_mismatch(presence._ros, presence._names, RosSettings())
+    async with both_ends(url) as client:
+        await client.wait_for_server()
+        presence = client_of(client.endpoint).presence
+        said = explain_mismatch(presence._ros, presence._names, RosSettings())
     assert said == ""

@@ -19,8 +19,8 @@ import anyio
 import pytest
 
 from fibaction_transports.ros2 import Node, open_node
-from tests.ros2.spun import until
 from tests.ros2.test_topics import TYPES, plain, some_values
+from tests.support.until import until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(900)]
 
@@ -47,16 +47,6 @@ import ctypes, sys
 words = [word.encode() for word in sys.argv]
 ctypes.CDLL(sys.argv[1]).run(len(words), (ctypes.c_char_p * len(words))(*words))
 """
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture(params=["ros2", "dds"])
-def scheme(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 @pytest.fixture(scope="module")

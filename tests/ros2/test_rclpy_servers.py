@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Iterator
+from collections.abc import AsyncGenerator
 from time import perf_counter
 from typing import Any, TypeAlias, cast
 
@@ -31,7 +31,7 @@ from tests.ros2.stock.ours import TYPE, action
 from tests.ros2.stock.process import peer
 from tests.ros2.stock.tutorial_server import STEP
 from tests.ros2.stock.waiting import eventually
-from tests.ros2.zenoh_peer import SCHEMES, middleware, router_for, url_of
+from tests.ros2.zenoh_peer import middleware, url_of
 from tests.support.fibonacci import Feedback, Goal, Result
 from tests.support.matching import End
 
@@ -48,18 +48,11 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-@pytest.fixture(scope="module", params=SCHEMES)
-def scheme(request: pytest.FixtureRequest) -> Iterator[str]:
-    """The way of our end: through rclpy, over our own DDS, or over Zenoh where its peer is."""
-    with router_for(request.param):
-        yield request.param
-
-
 @pytest.fixture(scope="module")
-async def connection(anyio_backend: str, scheme: str) -> AsyncGenerator[ClientConnection, None]:
+async def connection(anyio_backend: str, way: str) -> AsyncGenerator[ClientConnection, None]:
     """To a stock server, and to that of the tutorial."""
-    url = url_of(scheme, "our_client")
-    nodes = middleware(scheme)
+    url = url_of(way, "our_client")
+    nodes = middleware(way)
     async with (
         peer("server", **nodes),
         peer("tutorial_server", **nodes),
@@ -292,8 +285,8 @@ async def test_a_server_that_is_there_is_found_at_once(client: Client) -> None:
     assert perf_counter() - start < 0.25  # rclpy looks once in that time
 
 
-async def test_a_server_that_is_not_there_is_not_found(scheme: str) -> None:
-    where = url_of(scheme, "another")
+async def test_a_server_that_is_not_there_is_not_found(way: str) -> None:
+    where = url_of(way, "another")
     async with connect(where, action("missing"), discovery_timeout=0.3) as missing:
         start = perf_counter()
         with pytest.raises(ServerNotFound, match="missing"):
@@ -323,7 +316,7 @@ async def test_a_goal_of_another_type_is_rejected_before_it_is_sent(client: Clie
 
 @pytest.mark.promise("REACH-1")
 async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
-    client: Client, scheme: str
+    client: Client, way: str
 ) -> None:
     other = Action(
         "stock",
@@ -332,7 +325,7 @@ async def test_an_action_of_another_type_under_the_same_name_finds_no_server(
         result=Result,
         type_name="test_msgs/action/Fibonacci",
     )
-    where = url_of(scheme, "another")
+    where = url_of(way, "another")
     async with connect(where, other, discovery_timeout=0.5) as stranger:
         with pytest.raises(ServerNotFound):
             await stranger.send_goal(Goal(1))

@@ -36,12 +36,6 @@ PAGES = frozenset(_SECTIONS.get(robot, (robot, ""))[0] for robot in ROBOTS)
 both_ways = pytest.mark.parametrize("url", ["ros2://", "dds://"])
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    """The programs choose theirs."""
-    return "asyncio"
-
-
 def part_of(name: str) -> str:
     """Return a page without its sections in `_SECTIONS`, or one of these."""
     page, heading = _SECTIONS.get(name, (name, None))

@@ -23,9 +23,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.border.abc import ForwardingEndpoint
 from fibaction.border.urls import transport_for
-from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import Ros2Transport, on_rclpy
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.spun import spun_node
@@ -141,23 +139,6 @@ async def test_a_valid_domain_in_the_environment_is_used(
         pass
 
 
-async def test_an_action_of_ros_is_served_again_in_another_namespace() -> None:
-    far, near = namespace(), namespace()
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(server(), f"ros2://?namespace={far}"),
-            connect(f"ros2://?namespace={far}", FIBONACCI) as robot,
-        ):
-            await robot.wait_for_server()
-            again = ForwardingEndpoint(robot.endpoint)
-            async with (
-                serve(again, f"ros2://?namespace={near}"),
-                connect(f"ros2://?namespace={near}", FIBONACCI) as client,
-            ):
-                await client.wait_for_server()
-                assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-
-
 async def test_doctor_says_which_nodes_and_actions_are_heard() -> None:
     space = namespace()
     transport = Ros2Transport("doctor", namespace=space)
@@ -179,14 +160,6 @@ async def test_arguments_that_ros_does_not_understand_are_an_error() -> None:
     with pytest.raises(TransportError, match="cannot make the ROS node 'fibaction_"):
         async with connect(transport):
             raise AssertionError("it is connected")
-
-
-def test_settings_take_precedence_over_those_in_the_url() -> None:
-    transport = transport_for("ros2://?domain_id=3&namespace=/a", domain_id=4)
-    assert isinstance(transport, Ros2Transport)
-    assert transport.url == "ros2://?namespace=/a&domain_id=4"
-    with pytest.raises(TypeError, match="Ros2Transport has no setting 'color'; its settings are"):
-        transport_for("ros2://", color="red")
 
 
 async def test_the_url_has_the_settings_that_a_client_must_share() -> None:
@@ -266,17 +239,6 @@ async def test_names_and_the_namespace_can_be_remapped() -> None:
             assert url == f"ros2://?namespace={place}"
             assert await client.call(Goal(2)) == Result([0, 1, 1])
             assert await other.call(Goal(2)) == Result([0, 1, 1])
-
-
-async def test_an_action_without_a_type_takes_that_of_its_server() -> None:
-    url = f"ros2://?namespace={namespace()}"
-    with anyio.fail_after(10):
-        async with serve(server(), url), connect(url) as connection:
-            await connection.actions()
-            client = connection.client(Action.untyped(ActionInfo("fibonacci")))
-            assert await client.call({"order": 2}) == {"sequence": [0, 1, 1]}
-            with pytest.raises(TransportError, match="the Action 'another' a type_name"):
-                connection.endpoint(ActionInfo("another"))
 
 
 @pytest.fixture

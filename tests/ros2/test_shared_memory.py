@@ -38,11 +38,6 @@ MAPPED = re.compile(r"/dev/shm/fast(?:dds|rtps)_(?!port70)\w+")
 """A file that Fast DDS of Kilted or of Jazzy maps into memory: a segment, or a port of a domain."""
 
 
-@pytest.fixture(params=["asyncio"])
-def anyio_backend(request: pytest.FixtureRequest) -> str:
-    return str(request.param)
-
-
 def mapped_by(pid: int | str) -> set[Path]:
     """Return the files of Fast DDS that a process has mapped."""
     return {Path(name) for name in MAPPED.findall(Path(f"/proc/{pid}/maps").read_text())}

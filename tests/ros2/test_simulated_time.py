@@ -35,11 +35,6 @@ SECOND = 10**9
 SIMULATED = ("--ros-args", "-p", "use_sim_time:=true")
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 class Simulation:
     """A clock, a server, a client, and a client of rclpy that cancels."""
 

@@ -21,7 +21,8 @@ from fibaction.interfaces.packages import SearchPath
 from fibaction.interfaces.structs import structs_of
 from fibaction.types.ros_messages import encode
 from tests.lossy.bad_network import Weather, bad_network
-from tests.ros2.spun import beside_rclpy, until
+from tests.ros2.spun import beside_rclpy
+from tests.support.until import until
 from tests.transports.cdr.generated import values_of
 
 pytestmark = [pytest.mark.anyio, pytest.mark.timeout(120)]
@@ -49,17 +50,6 @@ VALUES = 3
 """Values of each type."""
 KEPT = QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TOPICS = 100
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture(params=["ros2", "dds"])
-def scheme(request: pytest.FixtureRequest) -> Any:
-    """The way of our node: through rclpy, or over our own DDS."""
-    return request.param
 
 
 @cache

@@ -90,23 +90,6 @@ async def test_clients_on_two_middlewares_use_one_server_at_the_same_time() -> N
                     tasks.start_soon(use, stock)
 
 
-async def test_a_client_cancels_its_goal_while_that_of_the_other_middleware_runs_on() -> None:
-    behaviour = Behaviour()
-    async with serve(behaviour.server("two"), "dds://our_server"), two("client") as clients:
-        for first, other in (clients, clients[::-1]):
-            goals = [
-                (await stock.ask("send", action="two", order=orders.WAITS))["goal"]
-                for stock in (first, other)
-            ]
-            answer = await first.ask("cancel", goal=goals[0])
-            assert answer == {"code": 0, "goals": [goals[0]]}
-            assert (await first.ask("result", goal=goals[0]))["status"] == CANCELED
-            assert await other.ask("handle_status", goal=goals[1]) != CANCELED
-            await nine(other)
-            await other.ask("cancel", goal=goals[1])
-            assert (await other.ask("result", goal=goals[1]))["status"] == CANCELED
-
-
 async def test_one_client_uses_servers_on_two_middlewares() -> None:
     async with (
         peer("server", "--ros-args", "-r", "__ns:=/own", **MIDDLEWARES["own"]),

@@ -9,10 +9,9 @@ from typing import Any
 import anyio
 import pytest
 
-from fibaction import Action, GoalStatus, TransportError, connect, serve
+from fibaction import Action, TransportError, connect, serve
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
-from fibaction_transports.ros2.without_ros.descriptions import type_learner
 from fibaction_transports.ros2.without_ros.messages import file_types
 from fibaction_transports.rtps.discovery import remote_participant
 from tests.ros2.ends import tells_publishers
@@ -21,11 +20,6 @@ from tests.ros2.stock.process import PATIENCE, Peer, peer
 
 pytestmark = pytest.mark.anyio
 FILES = str(Path(__file__).parents[2] / "examples/ros2")
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
 
 
 @pytest.fixture
@@ -96,33 +90,6 @@ async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(
                 assert feedback["partial_sequence"][:3] == [0, 1, 1]
                 break
             with pytest.raises(TransportError, match="are not known here: put arduinobot_msgs"):
-                await client.send_goal({"order": 3})
-
-
-async def test_a_robot_that_tells_nothing_of_its_types_is_followed(
-    alone: str, no_files: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(type_learner, "ASK_TIME", 0.0)
-    knowing_server = Behaviour().server("tutorial")
-    with anyio.fail_after(2 * PATIENCE):
-        async with (
-            peer("tutorial_server", ROS_DOMAIN_ID=alone),
-            connect(DdsTransport(domain_id=int(alone), discovery_timeout=PATIENCE)) as connection,
-            connect(
-                DdsTransport(domain_id=int(alone), search=[FILES]), knowing_server.action
-            ) as knowing,
-        ):
-            info = await found(connection, "tutorial")
-            assert info == ActionInfo("tutorial", TYPE)
-            client = connection.client(Action.untyped(info))
-            await client.wait_for_server()
-            await knowing.wait_for_server()
-            goal = await knowing.send_goal(knowing.action.goal.type(10))
-            followed = await client.attach(goal.goal_id)
-            assert {one async for one in followed.feedback} == {None}
-            assert await followed.result() is None
-            assert (await followed.outcome()).status is GoalStatus.SUCCEEDED
-            with pytest.raises(TransportError, match="is not known here: put arduinobot_msgs"):
                 await client.send_goal({"order": 3})
 
 

@@ -22,11 +22,6 @@ PATIENCE = 120.0
 
 
 @pytest.fixture(scope="module")
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture(scope="module")
 async def robots(anyio_backend: str) -> AsyncGenerator[None, None]:
     async with AsyncExitStack() as stack:
         for number in range(ROBOTS):

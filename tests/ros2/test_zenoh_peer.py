@@ -18,26 +18,19 @@ import pytest
 from fibaction import (
     ActionClient,
     ActionServer,
-    ClientConnection,
     ConnectionLost,
     GoalStatus,
-    UnknownGoal,
     connect,
     serve,
 )
-from fibaction.words.goals import GoalID
 from tests.ros2.stock import orders
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import Peer, peer
-from tests.ros2.stock.waiting import eventually
-from tests.ros2.test_two_middlewares import FAST_DDS, Text, echo, execute_echo
+from tests.ros2.test_two_middlewares import Text, echo, execute_echo
 from tests.ros2.zenoh_peer import middleware, router_for
-from tests.support.bridging import bridge
 from tests.support.fibonacci import Feedback, Goal, Result
 from tests.support.ports import free_port
 from tests.support.zenoh_router import start_router
-from tests.transports.cyclone.dds_end import cyclone_server, new_name
-from tests.transports.cyclone.partner import needs_cyclone
 
 Client: TypeAlias = ActionClient[Goal, Feedback, Result]
 
@@ -53,11 +46,6 @@ pytestmark = [pytest.mark.anyio, pytest.mark.timeout(PATIENCE + SECONDS + MANY /
 RATED = 2_000
 SUCCEEDED = int(GoalStatus.SUCCEEDED)
 EXECUTING = int(GoalStatus.EXECUTING)
-
-
-@pytest.fixture(scope="module")
-def anyio_backend() -> str:
-    return "asyncio"
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -90,9 +78,6 @@ async def stock_client(**settings: Any) -> AsyncGenerator[Peer, None]:
             yield found
 
 
-# A stock server
-
-
 async def test_goals_one_by_one_have_no_long_pause_although_the_server_forgets_to_wake_up() -> None:
     pauses: list[float] = []
     with anyio.fail_after(PATIENCE + MANY / 20):
@@ -110,47 +95,6 @@ async def test_goals_one_by_one_have_no_long_pause_although_the_server_forgets_t
     assert pauses[-1] < 2.0  # a stock client waits ten seconds now and then
 
 
-async def test_a_thousand_goals_at_once_all_succeed() -> None:
-    right: list[bool] = []
-
-    async def one(client: Client) -> None:
-        right.append(await client.call(Goal(1)) == Result([0, 1]))
-
-    async with stock_server() as (_, client), anyio.create_task_group() as tasks:
-        for _ in range(1_000):
-            tasks.start_soon(one, client)
-    assert right == [True] * 1_000
-
-
-async def test_feedback_at_200_hz_is_complete_and_in_order() -> None:
-    async with stock_server() as (_, client), client.send_goal(Goal(orders.RATED + RATED)) as goal:
-        heard = [one.partial_sequence[0] async for one in goal.feedback]
-    assert heard == list(range(RATED))
-
-
-async def test_a_goal_that_a_stock_server_does_not_know_is_unknown() -> None:
-    """The status in its answer is any byte."""
-    async with stock_server() as (_, client):
-        for _ in range(5):
-            with pytest.raises(UnknownGoal):
-                await client.attach(GoalID.random())
-
-
-async def test_a_client_that_comes_late_has_the_statuses_of_a_stock_server() -> None:
-    async with stock_server() as (_, client):
-        goal = await client.send_goal(Goal(orders.WAITS))
-        assert await anext(goal.feedback) == Feedback([1])
-        async with connect(WHERE, action("stock")) as late:
-            await late.wait_for_server(20)
-            with await late.endpoint.status() as statuses:
-                info = await statuses.receive()
-                assert info is not None
-                assert (info.goal_id, info.status) == (goal.goal_id, GoalStatus.EXECUTING)
-            again = await late.attach(goal.goal_id)
-            await again.cancel()
-            assert (await again.outcome()).status is GoalStatus.CANCELED
-
-
 async def test_the_death_of_a_stock_server_is_known_at_once() -> None:
     async with stock_server() as (server, client):
         goal = await client.send_goal(Goal(orders.WAITS))
@@ -161,33 +105,6 @@ async def test_the_death_of_a_stock_server_is_known_at_once() -> None:
             await goal.result()
         print(f"known after {(perf_counter() - began) * 1e3:.0f} ms")
         assert perf_counter() - began < 2.0  # 0.06 to 0.08 s on a machine that does nothing else
-
-
-# A stock client
-
-
-async def test_a_stock_client_hears_feedback_at_200_hz_in_order() -> None:
-    async with stock_client() as stock:
-        sent = await stock.ask("send", action="ours", order=orders.RATED + RATED)
-        result = await stock.ask("result", goal=sent["goal"])
-        assert result["status"] == SUCCEEDED
-        heard = [one for (one,) in await stock.ask("feedback", goal=sent["goal"])]
-    assert heard == sorted(heard)
-    assert len(heard) > RATED * 0.99  # rclpy drops what comes after the result
-
-
-async def test_a_stock_client_that_comes_late_has_the_statuses() -> None:
-    async with stock_client() as stock:
-        sent = await stock.ask("send", action="ours", order=orders.WAITS)
-        async with peer("client", **middleware("zenoh")) as late:
-            await late.ask("ready", action="ours")
-            await eventually(
-                lambda: late.ask("statuses", action="ours"),
-                lambda lists: lists and lists[-1] == [[sent["goal"], EXECUTING]],
-            )
-
-
-# Both
 
 
 @pytest.mark.parametrize("size", [1_000_000, 8_000_000])
@@ -225,37 +142,6 @@ async def test_goals_run_on_while_the_router_is_away_and_when_it_is_back(
             assert await client.call(Goal(2)) == Result([0, 1, 1])
     finally:
         await anyio.to_thread.run_sync(router.close)
-
-
-@needs_cyclone
-async def test_one_bridge_serves_robots_on_three_middlewares_to_one_client(tmp_path: Path) -> None:
-    near, cyclone_name = f"unix://{tmp_path}/near", new_name()
-    names = ("dds/stock", f"dds/{cyclone_name}", "zenoh/stock")
-    calls = dict.fromkeys(names, 0)
-
-    async def use(connection: ClientConnection, name: str) -> None:
-        client = connection.client(action(name))
-        for _ in range(60):
-            async with client.send_goal(Goal(4)) as goal:
-                heard = [one.partial_sequence async for one in goal.feedback]
-                assert await goal.result() == Result([0, 1, 1, 2, 3])
-            assert heard == [[0, 1, 1], [0, 1, 1, 2], [0, 1, 1, 2, 3]]
-            calls[name] += 1
-
-    with anyio.fail_after(PATIENCE):
-        async with (
-            peer("server", **FAST_DDS),
-            cyclone_server(cyclone_name),
-            peer("server", **middleware("zenoh")),
-            bridge(f"dds=dds://?search={FILES}", f"zenoh=zenoh://?search={FILES}", near),
-            connect(near) as connection,
-        ):
-            while not {one.name for one in await connection.actions()} >= set(names):  # noqa: ASYNC110
-                await anyio.sleep(0.1)
-            async with anyio.create_task_group() as tasks:
-                for name in names:
-                    tasks.start_soon(use, connection, name)
-    assert calls == dict.fromkeys(names, 60)
 
 
 async def test_participants_that_come_and_go_disturb_nobody() -> None:

@@ -49,34 +49,6 @@ async def test_samples_of_every_size_cross_each_other_and_arrive_in_order() -> N
         assert (participant.counters.invalid, participant.counters.over_limit) == (0, 0)
 
 
-async def test_a_late_reader_of_each_side_gets_what_the_other_keeps() -> None:
-    there, back = topic(), topic()
-    async with partner("topics") as cyclone, rtps_end() as ours:
-        writer = ours.network.create_writer(there, TEXT, KEPT)
-        await cyclone.ask("write", topic=back, name="out", depth=1, late=True)
-        await cyclone.ask("send", texts=[("o", 1), ("k", 2)], name="out")
-        for each in ("o", "kk"):
-            ours.network.write(writer, text(each))
-        await cyclone.ask("read", topic=there, name="in", depth=1, late=True)
-        assert await cyclone.ask("heard", count=1, name="in") == [["k", 2, 1]]
-        reader = await ours.reader(back, KEPT)
-        await ours.until(lambda: ours.texts(reader))
-        assert ours.texts(reader) == ["kk"]
-
-
-async def test_best_effort_samples_arrive_both_ways() -> None:
-    there, back = topic(), topic()
-    async with partner("topics") as cyclone, rtps_end() as ours:
-        await cyclone.ask("read", topic=there, name="in", reliable=False)
-        await cyclone.ask("write", topic=back, name="out", reliable=False)
-        writer, reader = await ours.writer(there, BEST_EFFORT), await ours.reader(back, BEST_EFFORT)
-        await matched(cyclone, 1, "in", "out")
-        ours.network.write(writer, text("a"))
-        assert await cyclone.ask("heard", count=1, name="in") == [["a", 1, 1]]
-        await cyclone.ask("send", texts=[("b", 1)], name="out")
-        await ours.until(lambda: ours.texts(reader) == ["b"])
-
-
 async def test_a_mismatch_with_cyclone_is_told_with_its_reasons() -> None:
     name = topic()
     async with partner("topics") as cyclone, rtps_end() as ours:
@@ -87,21 +59,6 @@ async def test_a_mismatch_with_cyclone_is_told_with_its_reasons() -> None:
         assert mismatch.reasons == (
             "reliability: the writer offers best_effort, the reader requests reliable",
         )
-
-
-async def test_two_readers_of_one_process_and_a_third_get_each_sample() -> None:
-    name = topic()
-    async with partner("topics") as one, partner("topics") as other, rtps_end() as ours:
-        await one.ask("read", topic=name, name="first")
-        await one.ask("read", topic=name, name="second")
-        await other.ask("read", topic=name)
-        writer = await ours.writer(name, ALL, readers=3)
-        for letter, times in SIZES:
-            ours.network.write(writer, text(letter * times))
-        expected = [[letter, times, 1] for letter, times in SIZES]
-        assert await one.ask("heard", count=len(SIZES), name="first") == expected
-        assert await one.ask("heard", count=len(SIZES), name="second") == expected
-        assert await other.ask("heard", count=len(SIZES)) == expected
 
 
 async def test_a_sample_for_one_reader_only_reaches_no_other() -> None:
@@ -116,22 +73,6 @@ async def test_a_sample_for_one_reader_only_reaches_no_other() -> None:
         ours.network.write(first, text("b"))
         assert await one.ask("heard", count=2) == [["a", 200_000, 1], ["b", 1, 1]]
         assert await other.ask("heard", count=1) == [["b", 1, 1]]
-
-
-async def test_two_of_our_readers_get_each_sample_of_cyclone() -> None:
-    name = topic()
-    async with partner("topics") as cyclone, rtps_end() as ours, rtps_end() as others:
-        await cyclone.ask("write", topic=name)
-        readers = [
-            (ours, await ours.reader(name, ALL)),
-            (ours, await ours.reader(name, ALL)),
-            (others, await others.reader(name, ALL)),
-        ]
-        await matched(cyclone, 3)
-        await cyclone.ask("send", texts=SIZES)
-        for end, reader in readers:
-            await end.until_heard(reader, len(SIZES))
-            assert end.texts(reader) == [letter * times for letter, times in SIZES]
 
 
 async def test_the_end_of_cyclone_is_seen_at_once() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import uuid
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -23,17 +23,16 @@ from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     UnusableDescription,
 )
-from fibaction_transports.ros2.without_ros.messages import parameter_messages as messages
+from fibaction_transports.ros2.without_ros.messages import node_messages as messages
 from fibaction_transports.ros2.without_ros.messages.action_types import standard_type
 from fibaction_transports.ros2.without_ros.messages.node_messages import (
     CLOCK,
     PARAMETER,
     ClockMessage,
     Parameter,
-    ParameterValue,
 )
 from fibaction_transports.ros2.without_ros.own_node import OwnClock
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
@@ -42,6 +41,7 @@ from fibaction_transports.rtps.events import ParticipantLost, TypesAnswered
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.processes import PATIENCE
+from tests.support.until import until
 
 pytestmark = pytest.mark.anyio
 
@@ -56,12 +56,6 @@ async def opened(
     with anyio.fail_after(PATIENCE):
         async with DdsAdapter(node, DdsSettings(**settings)).open() as found:
             yield found
-
-
-async def until(look: Callable[[], object], expected: object) -> None:
-    """Give the other nodes of this process their turns until something is seen."""
-    while look() != expected:  # noqa: ASYNC110 - what is looked at tells of no change
-        await anyio.sleep(0.01)
 
 
 class Answers:
@@ -184,7 +178,6 @@ async def test_the_nodes_of_ends_are_known() -> None:
         assert other.count_callers(service) == 0
         assert other.subscriptions(topic) == []
         await until(lambda: bool(other.graph._nodes), True)
-    # A participant that has left is forgotten, and one that names too many ends is not believed.
 
 
 async def test_what_another_participant_tells_of_its_nodes_is_bounded(
@@ -234,56 +227,6 @@ async def test_signs_of_life_are_counted() -> None:
         await until(watch.news, LifeSigns(0, 0))
 
 
-def value(flag: bool) -> ParameterValue:
-    return ParameterValue(1, bool_value=flag)
-
-
-async def test_the_parameters_of_a_node_are_read_and_set() -> None:
-    name = f"n{uuid.uuid4().hex}"
-    async with opened(name) as node, opened() as other:
-        names = messages.NamesRequest(["use_sim_time", "speed"])
-
-        async def ask(service: str, service_type: Any, request: Any) -> Any:
-            return await Answers(other, f"/{name}/{service}", service_type).call(request)
-
-        got = await ask("get_parameters", messages.GET_PARAMETERS, names)
-        assert got.values == [value(False), ParameterValue()]
-        types = await ask("get_parameter_types", messages.GET_PARAMETER_TYPES, names)
-        assert types.types == b"\1\0"
-        described = await ask("describe_parameters", messages.DESCRIBE_PARAMETERS, names)
-        assert [(one.name, one.type) for one in described.descriptors] == [
-            ("use_sim_time", 1),
-            ("speed", 0),
-        ]
-        for prefixes, expected in (
-            ([], ["use_sim_time"]),
-            (["use_sim_time"], ["use_sim_time"]),
-            (
-                ["other"],
-                [],
-            ),
-        ):
-            listed = await ask(
-                "list_parameters", messages.LIST_PARAMETERS, messages.ListRequest(prefixes)
-            )
-            assert listed.result.names == expected
-        wrong = [Parameter("speed", value(True)), Parameter("use_sim_time", ParameterValue(2))]
-        request = messages.SetRequest([*wrong, Parameter("use_sim_time", value(True))])
-        each = await ask("set_parameters", messages.SET_PARAMETERS, request)
-        assert [(one.successful, one.reason) for one in each.results] == [
-            (False, "there is no parameter 'speed', only 'use_sim_time'"),
-            (False, "'use_sim_time' is a bool"),
-            (True, ""),
-        ]
-        assert not node.clock.is_the_machines
-        atomic = await ask("set_parameters_atomically", messages.SET_PARAMETERS_ATOMICALLY, request)
-        assert not atomic.result.successful
-        right = messages.SetRequest([Parameter("use_sim_time", value(False))])
-        atomic = await ask("set_parameters_atomically", messages.SET_PARAMETERS_ATOMICALLY, right)
-        assert atomic.result.successful
-        assert node.clock.now() > 0
-
-
 async def test_the_time_of_a_simulation_is_that_of_its_topic() -> None:
     async with opened("", "-p", "use_sim_time:=true") as node, opened() as simulator:
         assert node.clock.now() == 0
@@ -319,20 +262,6 @@ def test_a_clock_that_jumps_back_begins_an_era() -> None:
         clock.take(invalid, b"")
     assert clock.now() == 3 * 10**9
     assert not clock.is_the_machines
-
-
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        (["-p", "use_sim_time:=maybe"], "-p use_sim_time:=maybe: expected true or false"),
-        (["-r", "__node:=1"], "invalid node_name '1'"),
-    ],
-)
-async def test_wrong_arguments_are_an_error(arguments: Sequence[str], problem: str) -> None:
-    with pytest.raises(TransportError) as caught:
-        async with opened("", *arguments):
-            pass  # pragma: no cover
-    assert str(caught.value).startswith(problem)
 
 
 async def test_a_request_that_cannot_be_answered_is_logged(
@@ -386,19 +315,6 @@ async def test_the_domain_and_the_range_may_be_settings(monkeypatch: pytest.Monk
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(TransportError, match="ROS_DOMAIN_ID='many'"):
         DdsAdapter(NodeSettings(), DdsSettings()).domain()
-
-
-@pytest.mark.parametrize(
-    ("settings", "problem"),
-    [
-        ({"discovery": "EVERYWHERE"}, "discovery must be one of OFF, LOCALHOST, SUBNET"),
-        ({"fragment_size": 100}, "fragment_size must be between 256 and 63000"),
-        ({"ip_versions": (6, 4)}, "ip_versions must be one of 4, 6 and 4,6, not 6,4"),
-    ],
-)
-def test_a_setting_that_is_out_of_range_is_an_error(settings: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        DdsSettings(**settings)
 
 
 def test_an_event_that_another_one_causes_is_handled_after_it() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import uuid
 from collections.abc import AsyncGenerator, Iterator
@@ -10,19 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import msgspec
 import pytest
 
 import fibaction_transports.ros2
 from fibaction import (
-    Action,
     ActionServer,
     ConnectionLost,
     GoalHandle,
     GoalID,
     GoalInfo,
     InvalidURL,
-    ServerNotFound,
     TransportError,
     call,
     connect,
@@ -44,29 +40,6 @@ pytestmark = pytest.mark.anyio
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize(
-    ("url", "text"),
-    [
-        ("dds://robot/arm", "dds://robot/arm: it has a path"),
-        ("dds://robot#arm", "dds://robot#arm has a part behind #"),
-        ("dds://[", "Invalid IPv6 URL"),
-        ("dds://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
-        ("dds://?introspection=contents", "introspection needs rclpy"),
-        ("dds://?domain_id=x", "dds://: the setting 'domain_id' cannot be 'x'"),
-        ("dds://?domain_id=1&domain_id=2", "dds://: setting given twice"),
-        ("dds://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
-        ("dds://?lease=0", "lease must be between 0.1 and 3600, not 0.0"),
-        ("dds://?discovery=FAR", "discovery must be one of OFF, LOCALHOST, SUBNET, not 'FAR'"),
-        ("dds://?fragment_size=1", "fragment_size must be between 256 and 63000, not 1"),
-    ],
-)
-def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
-    with pytest.raises(InvalidURL) as caught:
-        transport_for(url)
-    assert text in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def url_of(where: str, **settings: Any) -> str:
     transport = transport_for(where, **settings)
     assert isinstance(transport, DdsTransport)
@@ -79,21 +52,6 @@ def test_the_url_has_the_settings_that_a_client_must_share() -> None:
     assert url_of("dds://?ip_versions=4,6") == "dds://?ip_versions=4,6"
     assert DdsTransport().url == "dds://"
     assert DdsTransport(peers=[], ip_versions=[]).url == "dds://"
-
-
-@pytest.mark.parametrize(
-    ("url", "text"),
-    [
-        ("dds://1st", "invalid node_name '1st': it has letters, digits and _"),
-        ("dds://?namespace=a%20b", "invalid namespace '/a b'"),
-        ("dds://?peers=nowhere.invalid", "static peer 'nowhere.invalid' is unknown"),
-    ],
-)
-async def test_a_node_that_cannot_be_made_is_an_error_of_one_sentence(url: str, text: str) -> None:
-    with pytest.raises(TransportError) as caught:
-        async with connect(url):
-            pass  # pragma: no cover
-    assert text in str(caught.value)
 
 
 WAYS = [
@@ -159,27 +117,6 @@ def test_an_rclpy_of_another_python_is_told_in_one_sentence(
     assert str(caught.value) == reason
 
 
-async def test_names_can_be_remapped_and_the_url_has_the_namespace() -> None:
-    space = f"/t{uuid.uuid4().hex}"
-    arguments = ["--ros-args", "-r", f"__ns:={space}", "-r", "fibonacci:=sequence"]
-    action = Action(
-        "sequence",
-        goal=Goal,
-        feedback=FIBONACCI.feedback.type,
-        result=Result,
-        type_name=FIBONACCI.type_name,
-    )
-    transport = DdsTransport(arguments=arguments)
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), transport) as (url,),
-            connect(url, action) as client,
-        ):
-            assert url == f"dds://?namespace={space}"
-            assert transport.served_as("fibonacci") == f"{space}/sequence"
-            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-
-
 async def test_a_function_with_the_fields_of_ros_is_served_at_each_address() -> None:
     urls = ["tcp://127.0.0.1:0", "ws://127.0.0.1:0", f"dds://?namespace=/t{uuid.uuid4().hex}"]
     numbers = Numbers([0, 1, 1, 2, 3])
@@ -193,72 +130,6 @@ async def test_a_function_with_the_fields_of_ros_is_served_at_each_address() -> 
                 (info,) = [one for one in await connection.actions() if one.name == "article"]
     goal = Template(info.goal)
     assert {name: one.get("default") for name, one in goal.fields.items()} == {"order": 0}
-
-
-async def test_an_action_without_a_server_is_not_found() -> None:
-    with anyio.fail_after(PATIENCE):
-        async with connect("dds://?discovery_timeout=0.1", FIBONACCI) as client:
-            with pytest.raises(ServerNotFound, match="no server of the action 'fibonacci'"):
-                await client.call(Goal(1))
-
-
-async def test_actions_are_listed_with_the_nodes_that_serve_them() -> None:
-    space = f"/t{uuid.uuid4().hex}"
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), f"dds://arm?namespace={space}") as (url,),
-            connect(url) as connection,
-        ):
-            (info,) = [one for one in await connection.actions() if one.name == "fibonacci"]
-            assert info.type_name == FIBONACCI.type_name
-            assert info.goal["$defs"]
-            peers = await connection.peers("fibonacci")
-            assert list(peers.servers) == [f"{space}/arm"]
-
-
-class Grid(msgspec.Struct):
-    data: bytes
-
-
-def write_big(folder: Path) -> None:
-    path = folder / "big_msgs/action/Big.action"
-    path.parent.mkdir(parents=True)
-    path.write_text("uint8[] data\n---\nuint8[] data\n---\nuint8[] data\n")
-
-
-class Seen(msgspec.Struct):
-    data: bytes
-
-
-@pytest.mark.parametrize("size", [1_000_000, 8_000_000])
-async def test_goals_feedback_and_results_may_be_large(size: int, tmp_path: Path) -> None:
-    write_big(tmp_path)
-    big = Action("big", goal=Grid, feedback=Seen, result=Other, type_name="big_msgs/action/Big")
-    content = os.urandom(size)
-
-    async def execute(goal: Any) -> Any:
-        assert goal.request.data == content
-        yield Seen(goal.request.data)
-        yield Other(goal.request.data)
-
-    heard: list[bool] = []
-    space = f"/t{uuid.uuid4().hex}"
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(
-                ActionServer(big, execute), f"dds://?namespace={space}", search=[str(tmp_path)]
-            ) as (url,),
-            connect(url, big, search=[str(tmp_path)]) as client,
-        ):
-            result = await client.call(
-                Grid(content), on_feedback=lambda one: heard.append(one.data == content)
-            )
-    assert heard == [True]
-    assert result == Other(content)
-
-
-class Other(msgspec.Struct):
-    data: bytes
 
 
 async def test_an_endpoint_in_ros_is_served_again_with_the_type_that_it_has() -> None:

@@ -12,6 +12,9 @@ import pytest
 from fibaction import Action, ActionInfo, ProtocolError, TransportError
 from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
+from fibaction.types import arrays
+from fibaction.types.arrays import LARGE_ARRAY
+from fibaction_transports.ros2.convert import fields
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, InterfaceFiles
 
 FIBONACCI = "arduinobot_msgs/action/Fibonacci"
@@ -126,7 +129,8 @@ char[2] letters
 int16[] numbers
 float32[3] singles
 bool[] flags
-string[] texts
+string[<=2] texts
+float32[] waves
 builtin_interfaces/Time stamp
 builtin_interfaces/Duration[] spans
 Part part
@@ -134,6 +138,14 @@ Part[] parts
 ---
 ---
 """
+
+
+@pytest.fixture(params=["with numpy", "without numpy"])
+def numpy_or_not(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Convert large arrays by numpy, or as where it is not installed."""
+    if request.param == "without numpy":
+        for module in (arrays, fields):
+            monkeypatch.setattr(module, "numpy", lambda: None)
 
 
 @pytest.fixture
@@ -145,6 +157,7 @@ def everything(types: FileTypes, tmp_path: Path) -> Any:
     return found.codecs(found.info("all")).goal, found.types[0]
 
 
+@pytest.mark.usefixtures("numpy_or_not")
 def test_values_of_all_kinds_go_through_a_message_and_back(everything: Any) -> None:
     codec, goal = everything
     value = {
@@ -165,7 +178,8 @@ def test_values_of_all_kinds_go_through_a_message_and_back(everything: Any) -> N
         "numbers": [1, -2],
         "singles": [0.5, 1.5, -2.0],
         "flags": [True, False],
-        "texts": ["x", ""],
+        "texts": ["x\0y", ""],
+        "waves": [0.5] * LARGE_ARRAY,
         "stamp": {"sec": 3, "nanosec": 4},
         "spans": [{"sec": 1, "nanosec": 2}],
         "part": {"x": 1, "from": "here"},
@@ -185,7 +199,7 @@ def test_values_of_all_kinds_go_through_a_message_and_back(everything: Any) -> N
         ("raw", b"\7"),
         ("raws", [1, b"\2"]),
         ("octets", [3]),
-        ("numbers", [0] * 300),
+        ("numbers", [0] * LARGE_ARRAY),
         ("stamp", "1970-01-01T00:00:05Z"),
     ],
 )
@@ -203,11 +217,15 @@ def test_a_value_may_have_another_form(everything: Any, field: str, value: Any) 
         ("letters", b"1"),
         ("numbers", [2**15]),
         ("singles", [0.0, 1e300, 0.0]),
+        ("texts", ["a"] * 3),
+        ("waves", [1e39] * LARGE_ARRAY),
+        ("waves", [0.5] * LARGE_ARRAY + ["a"]),
         ("short", "abcd"),
         ("tiny", "text"),
         ("strange", 1),
     ],
 )
+@pytest.mark.usefixtures("numpy_or_not")
 def test_a_value_that_does_not_fit_is_an_error_that_names_its_field(
     everything: Any, field: str, value: Any
 ) -> None:
@@ -223,7 +241,9 @@ class Octets(msgspec.Struct):
     raws: list[int]
 
 
-def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("numpy_or_not")
+@pytest.mark.parametrize("count", [2, LARGE_ARRAY])
+def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path, count: int) -> None:
     write(tmp_path, "oct_msgs/action/Octets.action", "byte raw\nbyte[] raws\n---\n---\n")
     info = ActionInfo(
         "octets",
@@ -233,9 +253,10 @@ def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path) -> 
         {"type": "object"},
     )
     codec = types.find(info.type_name).codecs(info).goal
-    message = codec.to_ros(msgspec.msgpack.encode(Octets(b"\7", [8, 9])))
-    assert (message.raw, message.raws) == (7, b"\10\11")
-    assert msgspec.msgpack.decode(codec.from_ros(message), type=Octets) == Octets(b"\7", [8, 9])
+    value = Octets(b"\7", [200] * count)
+    message = codec.to_ros(msgspec.msgpack.encode(value))
+    assert (message.raw, message.raws) == (7, bytes([200] * count))
+    assert msgspec.msgpack.decode(codec.from_ros(message), type=Octets) == value
 
 
 class Goal(msgspec.Struct):

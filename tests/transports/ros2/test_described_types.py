@@ -13,10 +13,6 @@ from fibaction_transports.cdr.standard_messages import MESSAGES
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.without_ros.descriptions import described_types
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
-    described_action,
-    described_message,
-)
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
@@ -26,6 +22,8 @@ from fibaction_transports.ros2.without_ros.descriptions.description_messages imp
     TypeDescription,
     TypeSource,
     UnusableDescription,
+    described_action,
+    described_message,
 )
 from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.without_ros.messages.action_types import CANCEL_GOAL, action_of

@@ -88,7 +88,7 @@ def test_the_advice_follows_from_what_was_heard(
 
 
 async def until(
-    is_heard: Callable[[Diagnosis], bool], url: str = "dds://", action: str = ""
+    is_heard: Callable[[Diagnosis], object], url: str = "dds://", action: str = ""
 ) -> Diagnosis:
     """Diagnose again, each time for longer, until something was heard."""
     seconds = 0.2

@@ -30,9 +30,8 @@ from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
 from fibaction_transports.ros2.on_dds import graph
 from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.without_ros.answers import provide
 from fibaction_transports.ros2.without_ros.descriptions import type_learner
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
@@ -468,24 +467,4 @@ async def test_a_node_and_its_service_are_waited_for_and_may_be_lost(
     assert node.removed == [node]
     assert [record.getMessage() for record in caplog.records] == [
         "/far describes gone_msgs/action/Go_FeedbackMessage: the line is cut"
-    ]
-
-
-def test_an_answer_that_cannot_reach_its_client_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO")
-
-    class Ros:
-        def provider(self, service: str, kind: object, qos: object, take: Any) -> Ros:
-            self.take = take
-            return self
-
-        def answer(self, header: str, response: object) -> bool:
-            return header == "near"
-
-    ros = Ros()
-    provide(cast("RosNode", ros), "/n/s", GET_TYPE_DESCRIPTION, lambda request: request)
-    for header in ("near", "far"):
-        ros.take(header, DescriptionRequest())
-    assert [record.getMessage() for record in caplog.records] == [
-        "/n/s: an answer cannot reach its client, and is lost"
     ]

@@ -21,7 +21,7 @@ from fibaction_transports.ros2.without_ros.descriptions import (
     described_types,
     type_learner,
 )
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     DescriptionRequest,
     FieldTypeDescription,
     UnusableDescription,

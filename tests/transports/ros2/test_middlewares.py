@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.ports import free_port
 from tests.support.processes import PATIENCE
 from tests.support.ros_domain import DOMAINS
+from tests.transports.ros2.test_diagnosis import until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
@@ -50,14 +51,6 @@ def listens(host: str, port: int, url: str) -> str:
 async def diagnosed(url: str, action: str = "", seconds: float = 0.01) -> Diagnosis:
     with anyio.fail_after(PATIENCE):
         return await transport_for(url, arguments=[]).diagnose(seconds, action)
-
-
-async def until(is_heard: Callable[[Diagnosis], object], url: str, action: str = "") -> Diagnosis:
-    """Diagnose again, each time for longer, until something was heard."""
-    seconds = 0.1
-    while not is_heard(found := await diagnosed(url, action, seconds)):
-        seconds *= 2
-    return found
 
 
 async def test_a_router_of_zenoh_beside_dds_is_told(listening: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.topic_names import (
+from fibaction_transports.ros2.on_dds.topics import (
     reply_topic,
     request_topic,
     ros_topic,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
 
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.client.mismatches import explain_mismatch
+from fibaction_transports.ros2.client.diagnosis import explain_mismatch
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.qos import EndQos
@@ -49,11 +50,24 @@ def test_a_difference_is_told_as_both_sides_have_it(
         assert qos.advice(offered, wanted) == (advice or "an EndQos that wants no more")
 
 
-@pytest.mark.parametrize("policy", ["deadline", "lease", "lifespan"])
-def test_a_duration_that_is_not_positive_is_refused(policy: str) -> None:
-    given: dict[str, Any] = {policy: 0.0}
-    with pytest.raises(ValueError, match=rf"qos: {policy} must be positive, not 0\.0"):
-        qos.of_topic(EndQos(**given))
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ("fast", "qos: 'fast' is not one of reliable, .*, nor one of default, sensor_data"),
+        ("keep_all,keep_last", "two words for history"),
+        ("keep_all,transient_local", "keep_all with transient_local would keep every message"),
+        (EndQos(reliability="keep_all"), "'keep_all' is no reliability"),
+        (EndQos(durability=["volatile"]), r"\['volatile'\] is no durability"),  # type: ignore[arg-type]  # as a program without types
+        (EndQos(liveliness="manual"), "'manual' is no liveliness"),
+        (EndQos(depth=0), "depth must be at least 1"),
+        (EndQos(deadline=0), "deadline must be positive, not 0"),
+        (EndQos(lease=0.0), r"lease must be positive, not 0\.0"),
+        (EndQos(lifespan=math.nan), "lifespan must be positive, not nan"),
+    ],
+)
+def test_a_quality_of_service_that_there_is_not_is_refused(given: object, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        qos.of_topic(given)
 
 
 class Graph:

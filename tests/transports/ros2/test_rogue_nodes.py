@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -19,6 +18,7 @@ from fibaction_transports.ros2.ros_transport import RosTransport
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.until import until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
@@ -34,11 +34,6 @@ def adapter(url: str) -> Any:
     transport = transport_for(url)
     assert isinstance(transport, RosTransport)
     return transport._adapter
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    while not condition():  # noqa: ASYNC110  # nothing tells of it
-        await anyio.sleep(0.01)
 
 
 def told(caplog: pytest.LogCaptureFixture) -> list[str]:

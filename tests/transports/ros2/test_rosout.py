@@ -12,7 +12,8 @@ from fibaction_transports.ros2.on_dds.node import DdsNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.node_messages import LOG, LogMessage
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.transports.ros2.test_dds_node import opened, until
+from tests.support.until import until
+from tests.transports.ros2.test_dds_node import opened
 
 pytestmark = pytest.mark.anyio
 

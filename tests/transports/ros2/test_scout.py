@@ -13,7 +13,7 @@ from fibaction_transports.ros2.on_dds.graph import open_scout
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, fibonacci
 from tests.support.processes import PATIENCE
-from tests.transports.ros2.test_dds_node import until
+from tests.support.until import until
 
 pytestmark = pytest.mark.anyio
 

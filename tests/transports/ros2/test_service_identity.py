@@ -23,7 +23,7 @@ from fibaction_transports.ros2.on_dds.services import (
     split_header,
 )
 from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
-from fibaction_transports.ros2.without_ros.messages.parameter_messages import (
+from fibaction_transports.ros2.without_ros.messages.node_messages import (
     GET_PARAMETERS,
     NamesRequest,
     ValuesResponse,

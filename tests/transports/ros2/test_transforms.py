@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fibaction_transports.ros2.messaging import transform_buffer
-from fibaction_transports.ros2.messaging.transform_buffer import Transform, TransformBuffer, unit
+from fibaction_transports.ros2.messaging import transforms
+from fibaction_transports.ros2.messaging.transforms import Transform, TransformBuffer, unit
 
 SECOND = 10**9
 
@@ -112,8 +112,8 @@ def test_what_is_not_known_is_told() -> None:
 
 
 def test_the_past_and_the_number_of_frames_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transform_buffer, "MOST_FRAMES", 3)
-    monkeypatch.setattr(transform_buffer, "MOST_TIMES", 5)
+    monkeypatch.setattr(transforms, "MOST_FRAMES", 3)
+    monkeypatch.setattr(transforms, "MOST_TIMES", 5)
     buffer = TransformBuffer()
     for second in range(8):
         buffer.add("base", "odom", second * SECOND // 10, Transform(x=float(second)))

@@ -20,10 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fibaction import (
-    ActionServer,
     GoalHandle,
-    connect,
-    serve,
 )
 from fibaction_transports.ros2.on_zenoh.config import Configuration
 from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
@@ -36,7 +33,8 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     read_token,
 )
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
-from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
+from tests.support.fibonacci import Feedback, Goal, Result
+from tests.support.ros_ends import both_ends
 
 PATIENCE = 60.0
 MANY = 1_000
@@ -167,17 +165,13 @@ async def test_an_attack_leaves_an_honest_pair_alone_and_the_log_short(
             await anyio.sleep(0.01)
         yield Result([40])
 
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, execute), f"zenoh://?namespace={space}") as (url,),
-            connect(url, FIBONACCI) as client,
-        ):
-            await client.wait_for_server()
-            async with client.send_goal(Goal(1)) as goal:
-                await to_thread.run_sync(attack, name, router, f"{space}/fibonacci")
-                heard = [one.partial_sequence async for one in goal.feedback]
-                assert await goal.result() == Result([40])
-            assert heard == [[number] for number in range(40)]
-            assert await client.call(Goal(1)) == Result([40])
+    async with both_ends(f"zenoh://?namespace={space}", execute, patience=PATIENCE) as client:
+        await client.wait_for_server()
+        async with client.send_goal(Goal(1)) as goal:
+            await to_thread.run_sync(attack, name, router, f"{space}/fibonacci")
+            heard = [one.partial_sequence async for one in goal.feedback]
+            assert await goal.result() == Result([40])
+        assert heard == [[number] for number in range(40)]
+        assert await client.call(Goal(1)) == Result([40])
     lines = [one for one in caplog.records if one.name == "fibaction.ros2"]
     assert len(lines) < MOST_LINES, caplog.text

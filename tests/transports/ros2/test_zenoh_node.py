@@ -32,7 +32,7 @@ from fibaction_transports.ros2.on_zenoh.services import QueryHeader, ZenohProvid
 from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     DescriptionResponse,
 )
 from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
@@ -41,6 +41,7 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMET
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
+from tests.support.until import until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
 
@@ -56,12 +57,6 @@ async def opened(name: str = "") -> AsyncGenerator[ZenohNode, None]:
     with anyio.fail_after(PATIENCE):
         async with ZenohAdapter(node, ZenohSettings()).open() as found:
             yield found
-
-
-async def until(look: Callable[[], object], expected: object) -> None:
-    """Give the threads of Zenoh their turns until something is seen."""
-    while look() != expected:  # noqa: ASYNC110 - what is looked at tells of no change
-        await anyio.sleep(0.01)
 
 
 class Cut(BaseException):

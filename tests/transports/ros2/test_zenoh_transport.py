@@ -14,23 +14,19 @@ from threading import Event
 from typing import Any
 
 import anyio
-import msgspec
 import pytest
 import zenoh
 
 from fibaction import (
-    Action,
     ActionServer,
     ConnectionLost,
     GoalHandle,
-    InvalidURL,
     ServerNotFound,
     TransportError,
     connect,
     serve,
 )
 from fibaction.border.urls import transport_for
-from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import ZenohTransport
 from fibaction_transports.ros2.client import action_client
 from fibaction_transports.ros2.client.presence import Presence
@@ -43,6 +39,7 @@ from tests.support.certificates import pems
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from tests.support.ports import free_port
 from tests.support.processes import PATIENCE
+from tests.support.ros_ends import both_ends
 from tests.support.zenoh_router import start_router
 
 pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("router")]
@@ -57,29 +54,6 @@ def apart(url: str) -> str:
     process.
     """
     return f"{url}&config=queries_default_timeout=500000"
-
-
-@pytest.mark.parametrize(
-    ("url", "text"),
-    [
-        ("zenoh://robot/a/b", "zenoh://robot/a/b: its path has several names"),
-        ("zenoh://robot:x", "zenoh://robot:x"),
-        ("zenoh://?color=red", "has no setting 'color'; its settings are namespace, domain_id"),
-        ("zenoh://?introspection=contents", "introspection needs rclpy"),
-        ("zenoh://?mode=router", "mode"),
-        ("zenoh://?domain_id=233", "domain_id must be between 0 and 232, not 233"),
-    ],
-)
-def test_an_invalid_url_is_an_error_of_one_sentence(url: str, text: str) -> None:
-    with pytest.raises(InvalidURL) as caught:
-        transport_for(url)
-    assert text in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_mode_that_there_is_not_is_an_error() -> None:
-    with pytest.raises(ValueError, match="mode is peer or client, not 'router'"):
-        ZenohTransport(mode="router")  # type: ignore[arg-type]  # as a program without types
 
 
 def test_the_url_has_the_router_and_the_settings_that_a_client_must_share() -> None:
@@ -99,31 +73,6 @@ def test_the_url_has_the_router_and_the_settings_that_a_client_must_share() -> N
         assert again.url == expected
 
 
-@pytest.mark.parametrize(
-    ("url", "environment", "text"),
-    [
-        ("zenoh:///1st", {}, "invalid node_name '1st'"),
-        ("zenoh://?locators=nothing", {}, "is not valid in Zenoh"),
-        ("zenoh://", {"ROS_DOMAIN_ID": "x"}, "'x' is not a number from 0 to 232"),
-        ("zenoh://", {FILE: "/nowhere"}, f"{FILE}=/nowhere: "),
-        (
-            "zenoh://127.0.0.1:1?mode=client",
-            {},
-            "any of [Single(tcp/127.0.0.1:1)]; is a router there?",
-        ),
-    ],
-)
-async def test_a_node_that_cannot_be_made_is_an_error_of_one_sentence(
-    url: str, environment: dict[str, str], text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value)
-    with pytest.raises(TransportError) as caught:
-        async with connect(url):
-            pass  # pragma: no cover
-    assert text in str(caught.value)
-
-
 async def test_a_configuration_of_ros_is_followed(
     router: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -133,12 +82,8 @@ async def test_a_configuration_of_ros_is_followed(
     monkeypatch.setenv(
         OVERRIDE, f'mode="client";no/such/key=1;connect/endpoints=["tcp/127.0.0.1:{router}"]'
     )
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), new_url()) as (url,),
-            connect(url, FIBONACCI) as client,
-        ):
-            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
+    async with both_ends(new_url()) as client:
+        assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
     assert f"{OVERRIDE}: no/such/key=1 is not valid, and ignored" in caplog.text
 
 
@@ -158,65 +103,6 @@ async def test_both_modes_reach_the_same_graph(router: int, mode: str) -> None:
             assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
 
 
-async def test_names_can_be_remapped_and_parameters_given() -> None:
-    space = f"/t{uuid.uuid4().hex}"
-    arguments = ["--ros-args", "-r", f"__ns:={space}", "-r", "fibonacci:=sequence"]
-    arguments += ["-p", "use_sim_time:=true"]
-    action = Action(
-        "sequence", goal=Goal, feedback=Feedback, result=Result, type_name=FIBONACCI.type_name
-    )
-    transport = ZenohTransport(arguments=arguments)
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), transport) as (url,),
-            connect(url, action) as client,
-        ):
-            assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
-
-
-async def test_an_action_without_a_server_is_not_found() -> None:
-    with anyio.fail_after(PATIENCE):
-        async with connect(f"{new_url()}&discovery_timeout=0.1", FIBONACCI) as client:
-            with pytest.raises(ServerNotFound, match="no server of the action 'fibonacci'"):
-                await client.call(Goal(1))
-
-
-class Content(msgspec.Struct):
-    data: bytes
-
-
-class Seen(msgspec.Struct):
-    data: bytes
-
-
-class Answer(msgspec.Struct):
-    data: bytes
-
-
-async def test_goals_feedback_and_results_may_be_large(tmp_path: Path) -> None:
-    path = tmp_path / "big_msgs/action/Big.action"
-    path.parent.mkdir(parents=True)
-    path.write_text("uint8[] data\n---\nuint8[] data\n---\nuint8[] data\n")
-    big = Action("big", goal=Content, feedback=Seen, result=Answer, type_name="big_msgs/action/Big")
-    content = os.urandom(8_000_000)
-
-    async def execute(goal: Any) -> Any:
-        yield Seen(goal.request.data)
-        yield Answer(goal.request.data)
-
-    heard: list[bool] = []
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(big, execute), new_url(), search=[str(tmp_path)]) as (url,),
-            connect(url, big, search=[str(tmp_path)]) as client,
-        ):
-            result = await client.call(
-                Content(content), on_feedback=lambda one: heard.append(one.data == content)
-            )
-    assert heard == [True]
-    assert result == Answer(content)
-
-
 async def test_other_versions_of_the_types_are_told_before_the_first_goal(tmp_path: Path) -> None:
     path = tmp_path / "arduinobot_msgs/action/Fibonacci.action"
     path.parent.mkdir(parents=True)
@@ -228,44 +114,6 @@ async def test_other_versions_of_the_types_are_told_before_the_first_goal(tmp_pa
         ):
             with pytest.raises(TransportError, match="another version of the types"):
                 await client.call(Goal(1))
-
-
-async def test_types_that_no_file_has_are_learned_from_the_server(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    with anyio.fail_after(PATIENCE):
-        async with serve(ActionServer(FIBONACCI, fibonacci), new_url()) as (url,):
-            monkeypatch.delenv("FIBACTION_SEARCH")
-            async with connect(url) as connection:
-                (info,) = [one for one in await connection.actions() if one.name == "fibonacci"]
-                assert info.result["$defs"]
-                assert await connection.client(FIBONACCI).call(Goal(1)) == Result([0, 1])
-
-
-async def test_goals_of_a_type_that_is_not_known_can_be_followed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    go_on = anyio.Event()
-
-    async def execute(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
-        yield Feedback([0])
-        await go_on.wait()
-        yield Result([0])
-
-    untyped = Action.untyped(ActionInfo("fibonacci"))
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, execute), new_url()) as (url,),
-            connect(url, FIBONACCI) as client,
-        ):
-            goal = await client.send_goal(Goal(1))
-            monkeypatch.delenv("FIBACTION_SEARCH")
-            async with connect(url) as connection:
-                await connection.actions()
-                followed = await connection.client(untyped).attach(goal.goal_id)
-                go_on.set()
-                assert (await followed.outcome()).status.name == "SUCCEEDED"
-                assert await goal.result() == Result([0])
 
 
 async def test_a_server_that_has_gone_ends_its_goals_as_soon_as_its_tokens_go(
@@ -311,19 +159,15 @@ async def test_a_status_list_is_not_given_up_while_a_lost_router_may_explain_wha
             looks.append(presence._ros.is_cut)
         return bool(servers) and len(looks) == 1
 
-    with anyio.fail_after(PATIENCE):
-        async with (
-            serve(ActionServer(FIBONACCI, fibonacci), f"zenoh://?{space}"),
-            connect(f"zenoh://?{space}", FIBONACCI) as client,
-        ):
-            with await client.endpoint.status() as statuses:
-                await client.call(Goal(1))
-                assert await statuses.receive() is not None
-                monkeypatch.setattr(Presence, "have_gone", have_gone)
-                while len(looks) < 3:  # noqa: ASYNC110  # nothing tells of a look
-                    await anyio.sleep(0.01)
-                await client.call(Goal(1))
-                assert await statuses.receive() is not None
+    async with both_ends(f"zenoh://?{space}") as client:
+        with await client.endpoint.status() as statuses:
+            await client.call(Goal(1))
+            assert await statuses.receive() is not None
+            monkeypatch.setattr(Presence, "have_gone", have_gone)
+            while len(looks) < 3:  # noqa: ASYNC110  # nothing tells of a look
+                await anyio.sleep(0.01)
+            await client.call(Goal(1))
+            assert await statuses.receive() is not None
 
 
 @asynccontextmanager

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fibaction_transports.ros2.messaging.publisher import Publisher
     from fibaction_transports.ros2.messaging.services import Service
     from fibaction_transports.ros2.messaging.subscription import Subscription
-    from fibaction_transports.ros2.messaging.transform_buffer import Transform
+    from fibaction_transports.ros2.messaging.transforms import Transform
     from fibaction_transports.ros2.qos import EndQos
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
     from fibaction_transports.ros2.zenoh_transport import ZenohTransport
@@ -42,7 +42,7 @@ _MODULES = {
     "RemoteParameters": "messaging.parameters",
     "Service": "messaging.services",
     "Subscription": "messaging.subscription",
-    "Transform": "messaging.transform_buffer",
+    "Transform": "messaging.transforms",
     "open_node": "messaging.node",
     "topic_values": "messaging.node",
     "Ros2Transport": "ros2_transport",

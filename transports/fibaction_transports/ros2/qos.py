@@ -171,7 +171,7 @@ def of_topic(given: object, depth: int | None = None) -> EndQos:
     if depth is not None:
         found = replace(found, depth=depth)
     for policy in ("reliability", "durability", "history"):
-        if _TOPIC_POLICIES.get(getattr(found, policy)) != policy:
+        if getattr(found, policy) not in _words_of(policy):
             raise ValueError(f"qos: {getattr(found, policy)!r} is no {policy}")
     if found.liveliness not in ("automatic", "manual_by_topic"):
         raise ValueError(f"qos: {found.liveliness!r} is no liveliness")
@@ -185,6 +185,10 @@ def of_topic(given: object, depth: int | None = None) -> EndQos:
             "qos: keep_all with transient_local would keep every message: use a depth instead"
         )
     return found
+
+
+def _words_of(policy: str) -> list[str]:
+    return [one for one, of in _TOPIC_POLICIES.items() if of == policy]
 
 
 def suiting(offers: Iterable[EndQos]) -> str:

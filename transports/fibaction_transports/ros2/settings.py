@@ -132,3 +132,25 @@ class RosSettings(TransportSettings, frozen=True, kw_only=True):
     def grace(self) -> float:
         """Seconds for which waiting calls continue after their server has fallen silent."""
         return self.reconnect_timeout if self.reconnect else 0.0
+
+
+class OwnNodeSettings(RosSettings, frozen=True, kw_only=True):
+    """The settings of a transport of ROS whose nodes need no ROS."""
+
+    scheme: ClassVar[str]
+    """The scheme of the transport's URLs."""
+
+    search: Sequence[str] = ()
+    """Folders with packages of interface files: `package/action/Type.action` and
+    `package/msg/Type.msg`. They are searched before those of `FIBACTION_SEARCH` and those of
+    ROS."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or a word is not one of those that are valid.
+        """
+        super().__post_init__()
+        if self.introspection != "off":
+            raise ValueError(f"introspection needs rclpy: leave it out with {self.scheme}://")

@@ -34,8 +34,8 @@ from fibaction.words.goals import (
 )
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports.ros2.client.action_client import RosActionClient
+from fibaction_transports.ros2.client.diagnosis import explain_versions
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
-from fibaction_transports.ros2.client.mismatches import explain_versions
 from fibaction_transports.ros2.convert.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
 from fibaction_transports.ros2.node.graph_view import FEEDBACK, GraphView

@@ -12,7 +12,7 @@ from fibaction.border.event_loop import loop_clock
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.client.mismatches import explain_mismatch, explain_versions
+from fibaction_transports.ros2.client.diagnosis import explain_mismatch, explain_versions
 from fibaction_transports.ros2.names import ActionNames
 from fibaction_transports.ros2.node.parts import ServiceCaller, TopicSubscription
 from fibaction_transports.ros2.node.ros_node import RosNode

@@ -18,7 +18,6 @@ from fibaction.words.errors import ConnectionLost, InvalidURL
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.endpoint import GraphLooks
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
-from fibaction_transports.ros2.messaging.newest import NewestMessages
 from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
 from fibaction_transports.ros2.messaging.publisher import Publisher
 from fibaction_transports.ros2.messaging.services import (
@@ -30,9 +29,8 @@ from fibaction_transports.ros2.messaging.services import (
     forms_of,
 )
 from fibaction_transports.ros2.messaging.shared import PartsOfBlock
-from fibaction_transports.ros2.messaging.subscription import Subscription
-from fibaction_transports.ros2.messaging.transform_buffer import Transform
-from fibaction_transports.ros2.messaging.transforms import TransformReader
+from fibaction_transports.ros2.messaging.subscription import NewestMessages, Subscription, Wanted
+from fibaction_transports.ros2.messaging.transforms import Transform, TransformReader
 from fibaction_transports.ros2.node.graph_view import GraphView
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.qos import EndQos, suiting
@@ -162,7 +160,7 @@ class Node(RosTransport):
         All calls share one subscription, which stays open for some seconds after the last one. The
         errors are those of `subscribe` and of `Subscription.next`.
         """
-        return await self._newest.next((self._ros.resolve(topic), type_, qos), timeout)
+        return await self._newest.next(self._wanted(topic, type_, qos), timeout)
 
     @overload
     def latest(self, topic: str, type_: type[T], *, qos: str | EndQos = "") -> T | None: ...
@@ -172,7 +170,11 @@ class Node(RosTransport):
         """Return the newest message of a topic, which is read from the first call on; None if none
         has arrived yet. The errors are those of `subscribe`.
         """
-        return self._newest.latest((self._ros.resolve(topic), type_, qos))
+        return self._newest.latest(self._wanted(topic, type_, qos))
+
+    def _wanted(self, topic: str, type_: str | type[Any], given: str | EndQos) -> Wanted:
+        type_name_of(type_)
+        return self._ros.resolve(topic), type_, qos.of_topic(given)
 
     async def follow(
         self, topic: str, *, qos: str = "", depth: int = 10, timeout: float | None = None
@@ -305,13 +307,14 @@ class Node(RosTransport):
         return await self._caller(self._ros.resolve(service), type_).call(request, timeout)
 
     def _caller(self, name: str, type_: str | Service[Any, Any]) -> CalledService:
+        type_name = _service_type(type_)
         caller = self._callers.pop((name, type_), None)
         if caller is None:
             self._ros.raise_if_lost()
             for key in [key for key, one in self._callers.items() if one.is_idle]:
                 if len(self._callers) >= MOST_CALLERS:
                     self._callers.pop(key).close()
-            called = self._ros.types.called_type(_service_type(type_))
+            called = self._ros.types.called_type(type_name)
             caller = CalledService(self._ros, name, type_, called)
         self._callers[name, type_] = caller  # the last one, which gives way last
         return caller

@@ -12,9 +12,9 @@ from fibaction.border.settings import check_range
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.node.ros_node import RosAdapter
 from fibaction_transports.ros2.on_dds.node import DdsNode, open_node
-from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.settings import NodeSettings, OwnNodeSettings
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
-from fibaction_transports.ros2.without_ros.node_start import OwnNodeSettings, node_start
+from fibaction_transports.ros2.without_ros.own_node import node_start
 from fibaction_transports.rtps.ports import IP_VERSIONS, DiscoveryRange, DomainSettings
 
 DISCOVERY_SERVER = "ROS_DISCOVERY_SERVER"

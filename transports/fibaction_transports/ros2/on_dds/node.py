@@ -26,18 +26,19 @@ from fibaction_transports.ros2.node.parts import (
 )
 from fibaction_transports.ros2.on_dds.graph import DdsGraph, dds_qos
 from fibaction_transports.ros2.on_dds.services import DdsCaller, DdsProvider, ServiceEnds
-from fibaction_transports.ros2.on_dds.topic_names import reply_topic, request_topic, topic_name
 from fibaction_transports.ros2.on_dds.topics import (
     DdsLifeWatch,
     DdsPublisher,
     DdsSubscription,
+    reply_topic,
+    request_topic,
+    topic_name,
 )
 from fibaction_transports.ros2.on_dds.type_questions import TypeQuestions
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.without_ros.node_start import NodeStart
-from fibaction_transports.ros2.without_ros.own_node import OwnNode
+from fibaction_transports.ros2.without_ros.own_node import NodeStart, OwnNode
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter

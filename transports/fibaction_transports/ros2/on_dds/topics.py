@@ -1,10 +1,13 @@
-"""The ends of topics over RTPS."""
+"""The ends of topics over RTPS, and the names that ROS gives to topics and services in DDS.
+
+https://design.ros2.org/articles/topic_and_service_names.html has the names.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 from anyio import current_time
 
@@ -18,13 +21,45 @@ from fibaction_transports.ros2.node.parts import (
     TopicPublisher,
     TopicSubscription,
 )
-from fibaction_transports.ros2.on_dds.topic_names import ros_topic
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import LivelinessChanged
 from fibaction_transports.rtps.messages.ids import OWN_VENDOR, Guid
+
+GRAPH_TOPIC: Final = "ros_discovery_info"
+"""The topic on which each participant tells which of its endpoints belong to which node."""
+_TOPIC: Final = "rt"
+_REQUESTS, _REPLIES = ("rq", "Request"), ("rr", "Reply")
+
+
+def topic_name(full: str) -> str:
+    """Return the name in DDS of a topic of ROS, which is given by its full name."""
+    return _TOPIC + full
+
+
+def request_topic(service: str) -> str:
+    """Return the name in DDS of the topic with the requests to a service."""
+    return service.join(_REQUESTS)
+
+
+def reply_topic(service: str) -> str:
+    """Return the name in DDS of the topic with the replies of a service."""
+    return service.join(_REPLIES)
+
+
+def ros_topic(name: str) -> str:
+    """Return the full name in ROS of a topic of DDS; empty if it is not a topic of ROS."""
+    return name.removeprefix(_TOPIC) if name.startswith(f"{_TOPIC}/") else ""
+
+
+def ros_service(name: str) -> str:
+    """Return the full name in ROS of a service by its topic of requests; empty if it is none."""
+    first, last = _REQUESTS
+    is_service = name.startswith(f"{first}/") and name.endswith(last)
+    return name.removeprefix(first).removesuffix(last) if is_service else ""
+
 
 logger = clean_logger("fibaction.ros2")
 

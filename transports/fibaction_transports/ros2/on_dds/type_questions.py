@@ -1,8 +1,8 @@
-"""The questions of a node about the types of actions, by TypeLookup of XTypes, and the answers.
+"""The questions of a node about the types of actions, by TypeLookup of XTypes, and the types in the
+answers: structs, with the names of their fields.
 
-Other participants tell structs, with the names of their fields. Messages of ROS are structs of
-numbers, texts, other structs, and sequences and arrays of these; everything else is an error. The
-numbers of types are those of ROS here.
+Messages of ROS are structs of numbers, texts, other structs, and sequences and arrays of these.
+Everything else that XTypes has is an error. The numbers of types are those of ROS here.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import anyio
 
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     FieldDescription,
     FieldTypeDescription,
     IndividualTypeDescription,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Final, TypeVar
 
@@ -17,13 +17,14 @@ from fibaction.words.errors import TransportError, text_of
 from fibaction_transports.ros2.node.parts import (
     NO_HASH,
     AnswerSink,
+    EndInfo,
     ErrorSink,
     MessageSink,
     NodePart,
     RequestSink,
     UnansweredSink,
 )
-from fibaction_transports.ros2.node.ros_node import Links
+from fibaction_transports.ros2.node.ros_node import Links, RosNode
 from fibaction_transports.ros2.on_zenoh.config import Configuration
 from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
@@ -37,7 +38,6 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     hash_of,
     key_of,
 )
-from fibaction_transports.ros2.on_zenoh.questions import ServiceQuestions
 from fibaction_transports.ros2.on_zenoh.services import ZenohCaller, ZenohProvider, ignore_reply
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession, open_session
 from fibaction_transports.ros2.on_zenoh.topics import (
@@ -46,10 +46,48 @@ from fibaction_transports.ros2.on_zenoh.topics import (
     ZenohSubscription,
 )
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
+    DescriptionRequest,
+    IndividualTypeDescription,
+    UnusableDescription,
+)
+from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
+    ActionQuestions,
+    ask_node,
+)
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.without_ros.node_start import NodeStart
-from fibaction_transports.ros2.without_ros.own_node import OwnNode
+from fibaction_transports.ros2.without_ros.own_node import NodeStart, OwnNode
+
+_PARTS = ("_SendGoal", "_GetResult", "_FeedbackMessage")
+
+
+class ServiceQuestions(ActionQuestions):
+    """The questions about both services of an action, and about its feedback.
+
+    Tokens announce the hashes of services, of which rclpy tells all types: so goals and results.
+    """
+
+    def __init__(self, node: RosNode) -> None:
+        self._node = node
+
+    def can_ask(self, ends: Sequence[EndInfo]) -> bool:
+        return all(one.type_hash for one in ends)
+
+    async def look_up(
+        self, ends: Sequence[EndInfo], type_name: str
+    ) -> dict[str, IndividualTypeDescription]:
+        found: dict[str, IndividualTypeDescription] = {}
+        for part, end in zip(_PARTS, ends, strict=True):
+            request = DescriptionRequest(type_name + part, end.type_hash)
+            response = await ask_node(self._node, end.node, request)
+            if not response.successful:
+                raise UnusableDescription(response.failure_reason)
+            whole = response.type_description
+            described = (whole.type_description, *whole.referenced_type_descriptions)
+            found |= {one.type_name: one for one in described}
+        return found
+
 
 NO_ROUTER = (
     "no router and no peer of Zenoh is connected (tried {}): `ros2 run rmw_zenoh_cpp rmw_zenohd`"

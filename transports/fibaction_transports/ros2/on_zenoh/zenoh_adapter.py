@@ -10,9 +10,9 @@ from typing import ClassVar, Literal
 from fibaction_transports.ros2.node.ros_node import RosAdapter
 from fibaction_transports.ros2.on_zenoh.config import Configuration
 from fibaction_transports.ros2.on_zenoh.node import ZenohNode, open_node
-from fibaction_transports.ros2.settings import NodeSettings, domain_in
+from fibaction_transports.ros2.settings import NodeSettings, OwnNodeSettings, domain_in
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
-from fibaction_transports.ros2.without_ros.node_start import OwnNodeSettings, node_start
+from fibaction_transports.ros2.without_ros.own_node import node_start
 
 
 class ZenohSettings(OwnNodeSettings, frozen=True, kw_only=True):

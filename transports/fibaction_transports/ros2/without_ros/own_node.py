@@ -1,4 +1,4 @@
-"""A node without ROS, whatever the middleware: its name, its parameters, its clock, its log, and
+"""A node without ROS, whatever the middleware: its name, its clock, its parameters, its log, and
 what it tells of its types.
 """
 
@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import logging
 import struct
+import sys
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Final
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Final, NamedTuple
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import TransportError
@@ -17,8 +19,8 @@ from fibaction_transports.ros2.node.own_parameters import DeclaredParameter
 from fibaction_transports.ros2.node.parts import EndInfo, ServiceCaller, ServiceProvider
 from fibaction_transports.ros2.node.ros_node import RosClock, RosGraph, RosNode
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.without_ros.answers import provide
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
+from fibaction_transports.ros2.settings import NodeSettings
+from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     GET_TYPE_DESCRIPTION,
 )
 from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
@@ -27,6 +29,7 @@ from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
 )
 from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 from fibaction_transports.ros2.without_ros.messages.node_messages import (
     CLOCK,
     LOG,
@@ -34,8 +37,15 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
     ROSOUT_QOS,
     RosoutLog,
 )
-from fibaction_transports.ros2.without_ros.node_start import NodeStart
 from fibaction_transports.ros2.without_ros.parameters import USE_SIM_TIME, NodeParameters
+from fibaction_transports.ros2.without_ros.ros_arguments import (
+    NameResolver,
+    NodeName,
+    Override,
+    node_name,
+    overrides_of,
+    read_arguments,
+)
 
 CLOCK_TOPIC: Final = "/clock"
 _BILLION = 10**9
@@ -76,7 +86,34 @@ class OwnClock(RosClock):
         self._now = now
 
 
+class NodeStart(NamedTuple):
+    """The name, the names and the log with which a node begins."""
+
+    name: NodeName
+    resolver: NameResolver
+    has_rosout: bool
+    """True if its log goes to the topic `/rosout`, too."""
+    overrides: dict[str, Override]
+    """The values of parameters in the arguments."""
+
+
+def node_start(settings: NodeSettings) -> NodeStart:
+    """Return what the settings and the arguments say.
+
+    Raises:
+        TransportError: ROS does not allow the name, or an argument is not valid.
+    """
+    given = settings.arguments
+    arguments = read_arguments(sys.argv if given is None else given)
+    name = settings.name or f"fibaction_{uuid.uuid4().hex[:8]}"
+    full = node_name(name, settings.namespace, arguments)
+    resolver = NameResolver(full, arguments)
+    overrides = overrides_of(str(full), arguments.parameters)
+    return NodeStart(full, resolver, arguments.has_rosout, overrides)
+
+
 _NEWEST = EndQos(reliability="best_effort", depth=1)
+_SERVICES = EndQos(depth=1000)
 
 logger = clean_logger("fibaction.ros2")
 
@@ -107,19 +144,34 @@ class OwnNode(RosNode):
         self._learner = TypeLearner(self, types, questions)
         self._hears_time = False
         self.parameters = NodeParameters(self, start.overrides)
-        self.parameters.serve()
+        self.parameters.serve(self.provide)
         self._rosout: RosoutLog | None = None
         if start.has_rosout:
             log = self.publisher(self.resolve(ROSOUT), LOG, ROSOUT_QOS)
             self._rosout = RosoutLog(self.full_name, log.publish)
         description = f"{self.full_name}/get_type_description"
-        provide(self, description, GET_TYPE_DESCRIPTION, self.in_use.answer)
+        self.provide(description, GET_TYPE_DESCRIPTION, self.in_use.answer)
         self.parameters.on_change(self._use_simulated_time)
         try:
             self.parameters.declare(DeclaredParameter(name=USE_SIM_TIME, default=False))
         except ValueError as exc:
             raise TransportError(str(exc)) from exc
         self._use_simulated_time({USE_SIM_TIME: self.parameters.value(USE_SIM_TIME)})
+
+    def provide(
+        self, service: str, service_type: ServiceType, answer: Callable[[Any], Any]
+    ) -> None:
+        """Serve a service whose answers need no time.
+
+        Raises:
+            TransportError: The service cannot be made.
+        """
+
+        def take(header: Any, request: Any) -> None:
+            if not provider.answer(header, answer(request)):
+                logger.info("%s: an answer cannot reach its client, and is lost", service)
+
+        provider = self.provider(service, service_type, _SERVICES, take)
 
     def resolve(self, name: str) -> str:
         return self._resolver.resolve(name)

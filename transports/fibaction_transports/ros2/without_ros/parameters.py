@@ -5,7 +5,7 @@ Each node has `use_sim_time`, as nodes of rclpy do, and those that its user decl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from fibaction.words.extras import NeedsExtra
@@ -26,8 +26,8 @@ from fibaction_transports.ros2.node.own_parameters import ParameterValue as Valu
 from fibaction_transports.ros2.node.parts import TopicPublisher
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.without_ros.answers import provide
-from fibaction_transports.ros2.without_ros.messages import parameter_messages as messages
+from fibaction_transports.ros2.without_ros.messages import node_messages as messages
+from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 from fibaction_transports.ros2.without_ros.messages.node_messages import (
     PARAMETER_EVENT,
     Parameter,
@@ -57,8 +57,8 @@ class NodeParameters(ParameterStore):
         self._values: dict[str, Value] = {}
         self._events: TopicPublisher | None = None
 
-    def serve(self) -> None:
-        """Answer requests to the services of the node.
+    def serve(self, provide: Callable[[str, ServiceType, Callable[[Any], Any]], None]) -> None:
+        """Answer requests to the services of the node, which are made by `OwnNode.provide`.
 
         Raises:
             TransportError: A service cannot be made.
@@ -75,7 +75,7 @@ class NodeParameters(ParameterStore):
                 self._set_atomically,
             ),
         ):
-            provide(self._ros, f"{self._ros.full_name}/{name}", service_type, answer)
+            provide(f"{self._ros.full_name}/{name}", service_type, answer)
 
     # The store
 

@@ -38,16 +38,14 @@ from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
-    described_action,
-    described_message,
-    looked_up_action,
-)
-from fibaction_transports.ros2.without_ros.descriptions.description_messages import (
     GET_TYPE_DESCRIPTION,
     DescriptionRequest,
     DescriptionResponse,
     IndividualTypeDescription,
     UnusableDescription,
+    described_action,
+    described_message,
+    looked_up_action,
 )
 from fibaction_transports.ros2.without_ros.messages.action_types import action_of
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, ServerVersion

@@ -12,7 +12,7 @@ from typing import Final
 
 from fibaction.interfaces.files import InterfaceMessage
 from fibaction_transports.cdr.type_hashes import PREFIX, Description, type_description, type_hash
-from fibaction_transports.ros2.without_ros.descriptions import description_messages as messages
+from fibaction_transports.ros2.without_ros.descriptions import described_types as messages
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
 
 NOT_USED: Final = "Type not currently in use by this node"

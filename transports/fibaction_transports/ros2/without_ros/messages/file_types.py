@@ -50,13 +50,8 @@ from fibaction_transports.ros2.without_ros.messages.node_messages import (
     NODE_STRUCTS,
     PARAMETER,
     PARAMETER_EVENT,
+    PARAMETER_SERVICES,
 )
-from fibaction_transports.ros2.without_ros.messages.parameter_messages import PARAMETER_SERVICES
-
-FOLDERS: Final = "FIBACTION_SEARCH"
-"""The variable of the environment with folders of packages, separated as in PATH."""
-MOST_VERSIONS: Final = 100
-"""Files of one type that are read to find the version that a server has."""
 
 
 def topic_type_of(message: InterfaceMessage) -> TopicType:
@@ -96,6 +91,12 @@ def known_called_types() -> dict[str, CalledType]:
 def _type_of(message: InterfaceMessage, structs: Mapping[str, type[msgspec.Struct]]) -> MessageType:
     codec = CdrCodec(message, structs, as_arrays=True)
     return MessageType(message, codec, structs[message.class_name])
+
+
+FOLDERS: Final = "FIBACTION_SEARCH"
+"""The variable of the environment with folders of packages, separated as in PATH."""
+MOST_VERSIONS: Final = 100
+"""Files of one type that are read to find the version that a server has."""
 
 
 class InterfaceFiles:
