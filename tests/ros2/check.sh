@@ -17,7 +17,8 @@ FIBACTION_ROS=required COVERAGE_PROCESS_START=tests/ros2/coverage.toml \
     tests/transports/ros2/test_bridged_middlewares.py tests/transports/ros2/test_diagnosis.py \
     tests/transports/ros2/test_feedback_after_result.py tests/transports/ros2/test_middlewares.py \
     tests/transports/ros2/test_qos.py tests/transports/ros2/test_rogue_nodes.py \
-    tests/transports/ros2/test_dds_types.py tests/transports/ros2/test_zenoh_node.py \
+    tests/transports/ros2/test_dds_types.py tests/transports/ros2/test_without_ros.py \
+    tests/transports/ros2/test_zenoh_node.py \
     --deselect tests/transports/ros2/test_zenoh_node.py::test_a_server_that_does_not_describe_its_services_is_asked_for_the_feedback \
     -o faulthandler_timeout=75 -o faulthandler_exit_on_timeout=true
 "$1/bin/python" -m coverage combine --quiet

@@ -320,6 +320,7 @@ def test_a_nested_message_may_be_null() -> None:
         ("int32s", [0.5] * LARGE_ARRAY, "[0]", "Expected `int`, got `float`"),
         ("float32s", [1e39] * LARGE_ARRAY, "[0]", "Expected `float` of 32 bits"),
         ("fixed_int32s", [0] * LARGE_ARRAY, "", "Expected `array` of length <= 3"),
+        ("bounded_int32s", [0] * LARGE_ARRAY, "", "Expected `array` of length <= 5"),
         ("point", {"x": "1"}, ".x", "Expected `float`, got `str`"),
         (
             "pose",

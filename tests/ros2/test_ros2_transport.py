@@ -23,6 +23,7 @@ from fibaction import (
     connect,
     serve,
 )
+from fibaction.border.abc import ForwardingEndpoint
 from fibaction.border.urls import transport_for
 from fibaction_transports.ros2 import Ros2Transport, on_rclpy
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
@@ -137,6 +138,23 @@ async def test_a_valid_domain_in_the_environment_is_used(
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     async with connect("ros2://"):
         pass
+
+
+async def test_an_action_of_ros_is_served_again_in_another_namespace() -> None:
+    far, near = namespace(), namespace()
+    with anyio.fail_after(PATIENCE):
+        async with (
+            serve(server(), f"ros2://?namespace={far}"),
+            connect(f"ros2://?namespace={far}", FIBONACCI) as robot,
+        ):
+            await robot.wait_for_server()
+            again = ForwardingEndpoint(robot.endpoint)
+            async with (
+                serve(again, f"ros2://?namespace={near}"),
+                connect(f"ros2://?namespace={near}", FIBONACCI) as client,
+            ):
+                await client.wait_for_server()
+                assert await client.call(Goal(3)) == Result([0, 1, 1, 2])
 
 
 async def test_doctor_says_which_nodes_and_actions_are_heard() -> None:

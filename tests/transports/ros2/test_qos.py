@@ -70,6 +70,11 @@ def test_a_quality_of_service_that_there_is_not_is_refused(given: object, proble
         qos.of_topic(given)
 
 
+def test_a_quality_of_service_is_a_text_or_all_of_it() -> None:
+    with pytest.raises(TypeError, match="qos is a text such as 'best_effort' or an EndQos"):
+        qos.of_topic(None)
+
+
 class Graph:
     """A node that sees one server, whose services want a deadline."""
 
