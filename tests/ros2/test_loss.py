@@ -208,6 +208,49 @@ async def test_calls_go_on_when_a_server_that_was_silent_is_there_again(
             assert (await goal.outcome()).status is GoalStatus.CANCELED
 
 
+async def goes_on_after_it_was_dropped(folder: Path, caplog: pytest.LogCaptureFixture) -> bool:
+    """Let the graph drop a silent server, and check that its goal goes on; return False if the
+    middleware does not find the server again.
+    """
+    caplog.clear()
+    async with (
+        server_with_lease(folder, "ours", "serve_it", "loss_gap", "asyncio") as server,
+        waiting_for(server, "loss_gap", rest="") as (client, goal),
+    ):
+        presence = client_of(client.endpoint).presence
+
+        async def servers() -> int:
+            return presence._ros.count_publishers("/loss_gap/_action/status")
+
+        server.signal(signal.SIGSTOP)
+        await eventually(servers, lambda number: number == 0)
+        server.signal(signal.SIGCONT)
+        try:
+            await noted(caplog, "its server is there again")
+        except TimeoutError:
+            if all(one.is_available() for one in presence._clients):
+                raise
+            return False
+        assert (await goal.cancel()).accepted
+        assert (await goal.outcome()).status is GoalStatus.CANCELED
+        return True
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.promise("LOSS-2", "LOSS-4")
+async def test_a_goal_goes_on_although_the_graph_has_dropped_its_silent_server(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "fibaction.ros2")
+    for _ in range(4):
+        # In 6 of 130 runs Fast DDS has not found the server again, also after 48 s, with shared
+        # memory and without it. Nothing is promised then.
+        if await goes_on_after_it_was_dropped(tmp_path, caplog):
+            break
+    else:
+        pytest.fail("the middleware has not found the server again, four times")
+
+
 @pytest.mark.promise("LOSS-6")
 async def test_a_server_that_was_killed_and_started_anew_does_not_know_the_goals(
     caplog: pytest.LogCaptureFixture,
