@@ -10,7 +10,7 @@ a goal, and another one can have it.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable, Iterator
+from collections.abc import Awaitable, Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Generic
 
@@ -286,7 +286,7 @@ class PastGoals:
         return facts
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
+    def _reading(self) -> Generator[None, None, None]:
         """Log and hide an error of the store in the block.
 
         Raises:
