@@ -11,7 +11,7 @@ from fibaction.interfaces import read_action
 from fibaction.interfaces.files import InterfaceMessage, inside_out
 from fibaction_transports.cdr.action_messages import CANCEL_GOAL, action_interface
 from fibaction_transports.cdr.standard_messages import MESSAGES
-from fibaction_transports.cdr.type_hashes import type_description, type_hash
+from fibaction_transports.cdr.type_hashes import type_hash
 from tests.transports.cdr.definitions import POSES, TESTS, action_of, message_in
 
 FIBONACCI = TESTS.parent / "examples/ros2/arduinobot_msgs/action/Fibonacci.action"
@@ -47,43 +47,6 @@ KNOWN = known()
 @pytest.mark.parametrize("name", HASHES)
 def test_the_hash_of_a_type_is_that_of_ros(name: str) -> None:
     assert type_hash(KNOWN[name]) == HASHES[name]
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("int32 a", "int32 b"),
-        ("int32 a", "uint32 a"),
-        ("int32[] a", "int32[3] a"),
-        ("int32[3] a", "int32[<=3] a"),
-        ("int32[<=3] a", "int32[<=4] a"),
-        ("string a", "string<=3 a"),
-        ("string<=3 a", "wstring<=3 a"),
-        ("int32 a\nint32 b", "int32 b\nint32 a"),
-    ],
-)
-def test_types_that_differ_have_hashes_that_differ(one: str, other: str) -> None:
-    assert hash_of(one) != hash_of(other)
-
-
-def hash_of(text: str) -> str:
-    return type_hash(action_of(f"{text}\n---\n---\n").goal)
-
-
-def test_constants_defaults_and_comments_do_not_count() -> None:
-    assert hash_of("int32 a") == hash_of("# about\nint8 SOME = 1\nint32 a 5 # why")
-
-
-def test_the_description_has_each_nested_type_once_by_name() -> None:
-    pose = message_in("geometry_msgs/PoseStamped", POSES)
-    named = [one["type_name"] for one in type_description(pose)["referenced_type_descriptions"]]
-    assert named == [
-        "builtin_interfaces/msg/Time",
-        "geometry_msgs/msg/Point",
-        "geometry_msgs/msg/Pose",
-        "geometry_msgs/msg/Quaternion",
-        "std_msgs/msg/Header",
-    ]
 
 
 def test_a_type_of_an_unknown_package_has_no_hash() -> None:

@@ -74,14 +74,6 @@ def test_every_sample_of_a_reliable_writer_arrives_in_order_and_once(
     assert other.participant.counters.invalid == 0
 
 
-def test_a_sample_of_a_megabyte_arrives_with_loss() -> None:
-    link = Link(world=World(3, loss=0.2, delay=0.002))
-    text = "".join(map(str, range(200_000)))[:1_000_000]
-    link.write(text, "after")
-    assert link.world.run_until(lambda: len(link.texts) == 2)
-    assert link.texts == [text, "after"]
-
-
 def test_no_fragment_is_sent_twice_if_none_is_lost() -> None:
     link = Link()
     fragments = link.world.heard(DataFragment)

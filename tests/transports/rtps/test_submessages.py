@@ -133,15 +133,6 @@ def test_submessages_are_read_as_they_were_written(case: tuple[Order, list[Subme
     assert list(packet.submessages) == written
 
 
-@given(st.binary(max_size=200))
-def test_any_bytes_are_read_or_invalid(content: bytes) -> None:
-    for datagram in (content, HEAD + content):
-        try:
-            read_packet(datagram)
-        except InvalidPacket:
-            continue
-
-
 @given(ORDERED, st.data())
 def test_changed_bytes_are_read_or_invalid(
     case: tuple[Order, list[Submessage]], data: st.DataObject
