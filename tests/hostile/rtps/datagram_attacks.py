@@ -91,10 +91,6 @@ class Attacker:
         """Send submessages in the name of the attacker, or of another participant."""
         self.throw(packet(prefix or self.prefix, *of))
 
-    def announcement(self, prefix: bytes) -> Data:
-        """Return the announcement of a participant at the raw socket."""
-        return hello(prefix, self.here)
-
 
 @asynccontextmanager
 async def attacker_of(victim: EchoIdentity) -> AsyncGenerator[Attacker, None]:
@@ -156,7 +152,7 @@ def nothing(attacker: Attacker) -> Iterator[None]:
 def participants(attacker: Attacker) -> Iterator[None]:
     for _ in range(DATAGRAMS):
         name = stranger()
-        attacker.send(attacker.announcement(name), prefix=name)
+        attacker.send(hello(name, attacker.here), prefix=name)
         yield
 
 
@@ -164,7 +160,7 @@ def participants(attacker: Attacker) -> Iterator[None]:
 def packed_participants(attacker: Attacker) -> Iterator[None]:
     for _ in range(10):
         names = [stranger() for _ in range(PACKED)]
-        announced = [(SourceInfo(VENDOR, name), attacker.announcement(name)) for name in names]
+        announced = [(SourceInfo(VENDOR, name), hello(name, attacker.here)) for name in names]
         attacker.send(*(each for pair in announced for each in pair))
         yield
 
@@ -173,7 +169,7 @@ def packed_participants(attacker: Attacker) -> Iterator[None]:
 def proven_participants(attacker: Attacker) -> Iterator[None]:
     for _ in range(DATAGRAMS):
         name = stranger()
-        attacker.send(attacker.announcement(name), prefix=name)
+        attacker.send(hello(name, attacker.here), prefix=name)
         attacker.send(Destination(attacker.victim.prefix), prefix=name)
         yield
 

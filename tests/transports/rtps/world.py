@@ -185,10 +185,8 @@ def writer_of(world: World, node: Node, qos: Qos = KEEP_ALL, topic: str = TOPIC)
 class Link:
     """A writer of one participant and a reader of another, which have found each other."""
 
-    def __init__(
-        self, offered: Qos = KEEP_ALL, requested: Qos | None = None, world: World | None = None
-    ) -> None:
-        self.world = world or World()
+    def __init__(self, offered: Qos = KEEP_ALL, requested: Qos | None = None) -> None:
+        self.world = World()
         self.one, self.other = self.world.pair()
         self.writer = writer_of(self.world, self.one, offered)
         self.reader = reader_of(self.world, self.other, requested)
