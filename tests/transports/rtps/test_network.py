@@ -18,6 +18,7 @@ from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import loops
 from fibaction_transports.rtps import network as network_module
 from fibaction_transports.rtps import sockets as sockets_module
+from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import (
     CaughtUp,
@@ -166,6 +167,16 @@ async def test_the_addresses_and_the_others_can_be_asked_for(domain: int) -> Non
         assert {one.addresses.number, other.addresses.number} == {0, 1}
         assert one.addresses.peers == ("127.0.0.1",)
         assert one.addresses.interfaces == ()
+
+
+@pytest.mark.anyio
+async def test_a_participant_that_answers_no_questions_about_types_is_asked_none(
+    domain: int,
+) -> None:
+    settings, found = DomainSettings(domain=domain), Listener()
+    async with participant(settings, found) as one, participant(settings) as other:
+        await found.wait(ParticipantFound)
+        assert one.ask_types(other.participant.prefix, [bytes(TYPE_ID_SIZE)]) == 0
 
 
 def noted(monkeypatch: pytest.MonkeyPatch, content: bytes) -> list[int]:
