@@ -7,7 +7,7 @@ lists of its own, and never asks the product's scheduler.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fibaction import GoalID, GoalStatus
 from tests.simulation.facts import EPSILON, Life, Truth, short
@@ -276,40 +276,20 @@ class Places:
                 self._fail("turn", truth, "cleans up for too long")
 
 
+def _check_nothing(*_: Any, **__: Any) -> None:
+    """Do nothing."""
+
+
 class NoPlaces(Places):
     """The places of goals whose rules are not checked: a store delays what a schedule orders."""
 
-    def offered(self, life: Life, goal_id: GoalID, work: Work) -> None:
-        """Check nothing."""
+    offered = accepted = begun = started = _check_nothing
+    killed = taken_over = ended = left = check = _check_nothing
 
     def rejected(self, life: Life, goal_id: GoalID, reason: str) -> None:
         """Count the rejection."""
         self.counts["busy"] += 1
 
-    def accepted(self, truth: Truth) -> None:
-        """Check nothing."""
-
-    def begun(self, truth: Truth) -> None:
-        """Check nothing."""
-
-    def started(self, truth: Truth) -> None:
-        """Check nothing."""
-
     def interrupted(self, truth: Truth, reason: str) -> None:
         """Note why the server ends a goal."""
         truth.stop_reason = truth.stop_reason or reason
-
-    def killed(self, truth: Truth) -> None:
-        """Check nothing."""
-
-    def taken_over(self, truth: Truth, successor: Truth) -> None:
-        """Check nothing."""
-
-    def ended(self, truth: Truth) -> None:
-        """Check nothing."""
-
-    def left(self, truth: Truth) -> None:
-        """Check nothing."""
-
-    def check(self, life: Life) -> None:
-        """Check nothing."""

@@ -233,11 +233,16 @@ async def test_a_goal_that_is_sent_again_keeps_its_first_deadline(reach: Reach) 
 # Retries
 
 
-class Troubled(ForwardingEndpoint):
-    """An endpoint that fails some times, before or after it has forwarded a goal.
+class Faulty(ForwardingEndpoint):
+    """An endpoint with faults, and a client of it that no transport is in between."""
 
-    It is used by the client, so that the transport makes no difference.
-    """
+    @property
+    def client(self) -> Client:
+        return ActionClient(self, FIBONACCI)
+
+
+class Troubled(Faulty):
+    """An endpoint that fails some times, before or after it has forwarded a goal."""
 
     def __init__(self, inner: Endpoint, *errors: ActionError, after: bool = False) -> None:
         super().__init__(inner)
@@ -263,10 +268,6 @@ class Troubled(ForwardingEndpoint):
     ) -> CancelAnswer:
         self.canceled.append(goal_id)
         return await super().cancel_goals(goal_id, stamp)
-
-    @property
-    def client(self) -> Client:
-        return ActionClient(self, FIBONACCI)
 
 
 @pytest.mark.promise("RETRY-1")
@@ -376,7 +377,7 @@ async def test_the_last_error_is_raised_after_the_last_attempt(reach: Reach) -> 
     assert len(troubled.sent) == 4
 
 
-class Breaking(ForwardingEndpoint):
+class Breaking(Faulty):
     """An endpoint whose streams of a goal are lost when a test wants it."""
 
     def __init__(self, inner: Endpoint) -> None:
@@ -409,10 +410,6 @@ class Breaking(ForwardingEndpoint):
     def break_all(self) -> None:
         for stream in self.streams:
             stream.fail(ConnectionLost("the line broke"))
-
-    @property
-    def client(self) -> Client:
-        return ActionClient(self, FIBONACCI)
 
 
 async def calls_a_goal_that_is_lost(client: Client, breaking: Breaking, steps: Steps) -> None:
