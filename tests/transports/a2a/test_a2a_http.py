@@ -11,7 +11,7 @@ import httpx
 import pytest
 from a2a.client import A2ACardResolver
 
-from fibaction import TransportError, serve
+from fibaction import serve
 from fibaction.border.urls import transport_for
 from fibaction.observe.followed_servers import FollowedServers
 from fibaction.wire.settings import Limits
@@ -177,10 +177,7 @@ async def test_it_has_the_limits_of_connections() -> None:
         assert [told(update) async for update in updates][-1] == "COMPLETED"
 
 
-async def test_beyond_this_machine_it_takes_tls_or_a_word_for_it() -> None:
-    with pytest.raises(TransportError, match=r"use a2a[+]https://, or"):
-        async with robot_and_talk(host="0.0.0.0"):
-            pass
+async def test_the_card_of_a_server_with_tls_has_its_address() -> None:
     files = pems()
     tls = TlsFiles(cert=files.cert, key=files.cert)
     transport = A2aHttpTransport("127.0.0.1", 0, token=TOKEN, tls=tls)

@@ -49,8 +49,7 @@ from fibaction.wire.messages import (
     encode,
 )
 from fibaction_transports.web.rosbridge.operations import Subscribe, Unsubscribe
-from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
-from fibaction_transports.web.rosbridge.server.replies import topic_feedback
+from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT, topic_feedback
 from fibaction_transports.web.rosbridge.server.rosapi import (
     FEEDBACK_SUFFIX,
     STATUS_SUFFIX,

@@ -76,8 +76,13 @@ from fibaction_transports.web.rosbridge.operations import (
     Wrong,
     read,
 )
-from fibaction_transports.web.rosbridge.server.pending_calls import Answer, PendingCalls
-from fibaction_transports.web.rosbridge.server.replies import GoalReplies, SentGoal, ServiceReplies
+from fibaction_transports.web.rosbridge.server.pending_calls import (
+    Answer,
+    GoalReplies,
+    PendingCalls,
+    SentGoal,
+    ServiceReplies,
+)
 from fibaction_transports.web.rosbridge.server.rosapi import (
     CANCEL_SUFFIX,
     ServiceFailed,

@@ -23,8 +23,7 @@ from fibaction.wire.messages import (
     WatchStatus,
 )
 from fibaction_transports.web.rosbridge.operations import ClientID, Subscribe, Unsubscribe
-from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT
-from fibaction_transports.web.rosbridge.server.replies import topic_statuses
+from fibaction_transports.web.rosbridge.server.pending_calls import CREDIT, topic_statuses
 from fibaction_transports.web.rosbridge.text_messages import in_fragments, size_of
 
 LONGEST_PERIOD = 3600.0
