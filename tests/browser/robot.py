@@ -13,6 +13,7 @@ import math
 import re
 import sys
 from collections.abc import AsyncGenerator
+from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
 import anyio
@@ -29,12 +30,46 @@ from fibaction import (
     Schedule,
     serve,
 )
-from tests.browser.drone import FLY, fly
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result
 
 
 def unit(name: str) -> msgspec.Meta:
     return msgspec.Meta(extra_json_schema={"x-unit": name})
+
+
+class Fix(msgspec.Struct):
+    """A place on the earth."""
+
+    latitude: float = 48.137
+    longitude: float = 11.575
+
+
+class Area(msgspec.Struct):
+    """An area around the start, with a name."""
+
+    radius: Annotated[float, unit("m")] = 10.0
+
+
+class Flight(msgspec.Struct):
+    """A way to fly, and when."""
+
+    start: Annotated[datetime, msgspec.Meta(tz=True)]
+    day: date
+    route: list[Fix] = msgspec.field(default_factory=lambda: [Fix(), Fix(48.139, 11.58)])
+    labels: dict[str, str] = {}
+    areas: dict[str, Area] = msgspec.field(default_factory=lambda: {"near": Area()})
+
+
+FLY = Action("fly", goal=Flight, feedback=Fix, result=str)
+
+
+async def fly(goal: GoalHandle[Flight]) -> AsyncGenerator[Any, None]:
+    """Fly to each place of the route, then tell what the goal is."""
+    for place in goal.request.route:
+        for share in range(1, 6):
+            yield Fix(place.latitude - 0.0003 / share, place.longitude + 0.0004 / share)
+            await anyio.sleep(0.01)
+    yield repr(goal.request)
 
 
 class Point(msgspec.Struct):
