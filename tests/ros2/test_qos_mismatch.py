@@ -75,6 +75,16 @@ async def test_a_stock_server_whose_qos_does_not_match_is_named_with_what_to_do(
     assert [one.message for one in caplog.records] == [f"fibonacci cannot be reached yet: {WRONG}"]
 
 
+async def test_nothing_is_said_of_a_server_that_is_not_there(
+    url: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fibaction_transports.ros2.client.presence.MATCH_TIME", 0.0)
+    async with connect(url, FIBONACCI) as client:
+        with pytest.raises(ServerNotFound):
+            await client.wait_for_server(0.2)
+    assert caplog.records == []
+
+
 @pytest.mark.usefixtures("stock")
 async def test_a_client_with_the_qos_of_a_stock_server_uses_it(url: str) -> None:
     settings = "feedback_qos=best_effort&status_qos=best_effort,volatile"
