@@ -17,6 +17,7 @@ NAN = float("nan")
     [
         ("type", "integer", [1, 2.0, 10**400], [1.5, True, "1", float("inf")]),
         ("type", "unheard of", [None, "a"], []),
+        ("enum", [[1, 2]], [[1, 2.0]], [[1], [1, 2, 3], [1, 3]]),
         ("minimum", 2, [2, 3, "a", NAN, True], [1, 1.5]),
         ("maximum", 2.5, [2, "a", NAN], [3, 10**400]),
         ("exclusiveMinimum", 2, [3, NAN], [2]),

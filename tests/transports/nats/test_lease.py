@@ -176,6 +176,14 @@ async def test_changes_are_stored_at_most_once_a_second() -> None:
         assert entry.goals == 20
 
 
+async def test_an_update_is_stored_at_once_also_after_another_change() -> None:
+    async with MemoryBrokers() as shared, joined(shared.member()) as member:
+        member.goals, began = 7, current_time()
+        await member.update()
+        assert current_time() - began < 0.1
+        assert lease(shared).goals == 7
+
+
 # Names
 
 

@@ -216,6 +216,8 @@ def test_a_value_may_have_another_form(everything: Any, field: str, value: Any) 
         ("octets", [1, 256]),
         ("letters", b"1"),
         ("numbers", [2**15]),
+        ("numbers", [-(2**15) - 1] * LARGE_ARRAY),
+        ("single", -1e39),
         ("singles", [0.0, 1e300, 0.0]),
         ("texts", ["a"] * 3),
         ("waves", [1e39] * LARGE_ARRAY),

@@ -304,14 +304,18 @@ def test_samples_that_wait_for_earlier_ones_take_bounded_memory() -> None:
     assert len(victim.texts) == 50
 
 
-def test_held_samples_and_fragments_are_freed_when_their_writer_is_gone(victim: Victim) -> None:
+@pytest.mark.parametrize("end", ["the writer is gone", "the reader is removed"])
+def test_held_samples_and_fragments_are_freed_with_either_end(victim: Victim, end: str) -> None:
     victim.hear(WriterHeartbeat(*victim.ends, 1, 1, 9))
     victim.hear(Data(*victim.ends, 5, payload("x")))
     victim.hear(Gap(*victim.ends, 3, NumberSet(4)), fragment(victim, 6, 200, 100))
     held, partials = victim.participant._shared.held, victim.participant._shared.partials
     assert held.held > 0
     assert partials.held > 0
-    victim.peer.participant.close(victim.world.now)
+    if end == "the reader is removed":
+        victim.participant.remove(victim.reader, victim.world.now)
+    else:
+        victim.peer.participant.close(victim.world.now)
     victim.world.run(1.0)
     assert (held.held, partials.held) == (0, 0)
 

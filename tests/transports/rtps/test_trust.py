@@ -102,7 +102,7 @@ def test_who_announces_the_address_of_another_host_cannot_direct_much_to_it(targ
 
 
 def test_of_several_addresses_the_one_of_the_sender_is_used(target: Target) -> None:
-    target.receive(hello(STRANGER, THIRD, SOURCE))
+    target.receive(hello(STRANGER, THIRD, SOURCE, data_locators=(udp_locator(THIRD),)))
     target.receive(target.here)
     best_effort = Qos(reliability=Reliability.BEST_EFFORT)
     writer = writer_of(target.world, target.node, best_effort)
