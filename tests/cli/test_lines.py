@@ -12,6 +12,8 @@ from contextlib import redirect_stderr
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
+from rich.file_proxy import FileProxy
 
 from fibaction import GoalID
 from fibaction.cli.output import lines
@@ -43,14 +45,15 @@ def test_a_remark_with_text_of_a_server_stays_on_one_line(
     assert capsys.readouterr().err == "it is away: gone\\x0a\\x1b[2J\n"
 
 
-def test_the_log_goes_to_the_stderr_of_that_moment() -> None:
+def test_remarks_and_the_log_go_through_the_stderr_of_a_line_that_is_drawn_again() -> None:
     handler = lines.LogHandler()
     handler.setFormatter(logging.Formatter("log: %(message)s"))
-    later = io.StringIO()
-    with redirect_stderr(later):
+    drawn = io.StringIO()
+    with redirect_stderr(FileProxy(Console(file=drawn), sys.stderr)):
         handler.handle(logging.makeLogRecord({"msg": "the line is dead"}))
+        lines.note("it is away")
 
-    assert later.getvalue() == "log: the line is dead\n"
+    assert drawn.getvalue() == "log: the line is dead\nit is away\n"
 
 
 def test_only_a_capable_terminal_counts_as_one(monkeypatch: pytest.MonkeyPatch) -> None:

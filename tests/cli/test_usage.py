@@ -94,6 +94,8 @@ WRONG = {
     "bridge tcp://x inproc://robot": "inproc://robot is for clients in the process",
     "bridge inproc://robot tcp://x wait": "inproc://robot is for clients in the process",
     "bridge tcp://x unix:///never --rename pick": "a rename is like OLD=NEW, for example",
+    "bridge tcp://x unix:///never --rename pick=2x": "a rename is like OLD=NEW, for example",
+    "bridge tcp://x unix:///never --rename =x": "a rename is like OLD=NEW, for example",
     "bridge tcp://x unix:///never --rename a=b --rename /a=c": "the action /a is renamed twice",
     "bridge tcp://x unix:///never --into 2x": "a namespace is like /robot1",
     "bridge tcp://x unix:///never pick --rename a=b": "/a is renamed, and is not among those to",
