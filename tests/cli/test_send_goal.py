@@ -146,6 +146,15 @@ def test_on_a_terminal_there_is_a_bar_and_it_is_gone_in_the_end(
     assert not shown.cursor_hidden
 
 
+def test_a_terminal_that_cannot_redraw_gets_lines(terminal: Open, tcp: str) -> None:
+    shown = terminal(
+        "send_goal", "arm/pick", "object_name: cup", "-f", url=tcp, env={"TERM": "dumb"}
+    )
+    assert shown.ends() == 0
+
+    assert shown.text.count("Feedback:") == 4
+
+
 # In this process
 
 
@@ -529,8 +538,11 @@ async def silent(*_: object) -> None:
     await anyio.sleep_forever()
 
 
-async def refused(*_: object) -> CancelAnswer:
-    return CancelAnswer(CancelCode.REJECTED)
+def refused(reason: str = "") -> Callable[..., Any]:
+    async def refuse(*_: object) -> CancelAnswer:
+        return CancelAnswer(CancelCode.REJECTED, reason=reason)
+
+    return refuse
 
 
 async def lost(*_: object, **__: object) -> None:
@@ -545,7 +557,8 @@ async def lost(*_: object, **__: object) -> None:
     [
         ({}, "was left, and may continue.\n"),  # the goal does not end
         ({"cancel_goals": silent}, "was left, and may continue.\n"),
-        ({"cancel_goals": refused}, "The server does not cancel it: it does not say why\n"),
+        ({"cancel_goals": refused()}, "The server does not cancel it: it does not say why\n"),
+        ({"cancel_goals": refused("too late")}, "The server does not cancel it: too late\n"),
         ({"cancel_goals": lost}, "It could not be canceled: no server listens: start the server\n"),
     ],
 )
