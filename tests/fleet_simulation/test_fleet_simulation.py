@@ -11,9 +11,9 @@ import pytest
 
 from fibaction.border.goal_store import StoredGoal, Then
 from fibaction_transports.nats.client import endpoint
+from fibaction_transports.nats.records import next_entry
 from fibaction_transports.nats.worker import fleet_limits
 from fibaction_transports.nats.worker.journal import FleetJournal
-from fibaction_transports.nats.worker.key_entry import next_entry
 from fibaction_transports.nats.worker.lease import Membership, Term
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from tests.fleet_simulation import __main__ as program

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.codec import read_packet
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Durability, Liveliness, Qos, Reliability
 from tests.fuzz.fuzzer import fuzz

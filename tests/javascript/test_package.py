@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from fibaction.schema.typescript import typescript_source
-from fibaction_transports.web.http.assets import CLIENT as SERVED
-from fibaction_transports.web.http.assets import all_assets
+from fibaction_transports.web.http.plain_paths import CLIENT as SERVED
+from fibaction_transports.web.http.plain_paths import all_assets
 from tests.browser.served import RobotProcess
 from tests.javascript.test_client import CLIENT, HERE, PATIENCE, ROOT, run
 from tests.support.fibonacci import FIBONACCI

@@ -13,7 +13,7 @@ import pytest
 
 from fibaction.border.event_loop import asyncio_loop
 from fibaction_transports.rtps import network
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 
 
 class Weather(msgspec.Struct, frozen=True):

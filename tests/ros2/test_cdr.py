@@ -17,9 +17,13 @@ from hypothesis import strategies as st
 from fibaction.interfaces import ActionFile, make_structs, read_action
 from fibaction.interfaces.files import InterfaceMessage, read_message
 from fibaction.interfaces.packages import SearchPath
-from fibaction_transports.cdr.action_messages import CANCEL_GOAL, ActionCodecs, action_interface
 from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.cdr.standard_messages import MESSAGES
+from fibaction_transports.cdr.standard_messages import (
+    CANCEL_GOAL,
+    MESSAGES,
+    ActionCodecs,
+    action_interface,
+)
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from tests.transports.cdr.definitions import Goal

@@ -16,7 +16,7 @@ from fibaction import connect
 from fibaction.interfaces.files import read_action_texts
 from fibaction.interfaces.source import RobotSource
 from fibaction.interfaces.structs import make_structs
-from fibaction_transports.cdr.action_messages import action_interface
+from fibaction_transports.cdr.standard_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2 import DdsTransport, Ros2Transport
 from fibaction_transports.ros2.convert.fields import SINGLES, array_kind, text_kind

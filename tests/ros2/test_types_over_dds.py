@@ -13,7 +13,7 @@ from fibaction import Action, TransportError, connect, serve
 from fibaction.types.action import ActionInfo
 from fibaction_transports.ros2 import DdsTransport
 from fibaction_transports.ros2.without_ros.messages import file_types
-from fibaction_transports.rtps.discovery import remote_participant
+from fibaction_transports.rtps.discovery import known_participants
 from tests.ros2.ends import tells_publishers
 from tests.ros2.stock.ours import TYPE, Behaviour
 from tests.ros2.stock.process import PATIENCE, Peer, peer
@@ -66,7 +66,7 @@ async def test_a_robot_of_kilted_tells_all_of_its_types_and_takes_goals(
 async def test_a_robot_of_rclpy_tells_the_type_of_its_feedback(
     alone: str, no_files: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remote_participant, "ANSWERS_TYPES", 1 << 31)  # which none has
+    monkeypatch.setattr(known_participants, "ANSWERS_TYPES", 1 << 31)  # which none has
     with anyio.fail_after(2 * PATIENCE):
         async with (
             peer("tutorial_server", ROS_DOMAIN_ID=alone),

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeAlias
 
 import anyio
 
-from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointData, endpoint_payload
 from fibaction_transports.rtps.events import EndpointMatched, Event
 from fibaction_transports.rtps.messages.ids import (
     PUBLICATIONS_READER,

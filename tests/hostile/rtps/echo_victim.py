@@ -18,11 +18,10 @@ from typing import NamedTuple
 import anyio
 
 from fibaction_transports.rtps.events import Event, SampleReceived
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 from fibaction_transports.rtps.network import open_network
-from fibaction_transports.rtps.ports import DomainSettings
+from fibaction_transports.rtps.ports import DomainSettings, ParticipantSockets
 from fibaction_transports.rtps.qos import Durability, Qos
-from fibaction_transports.rtps.sockets import ParticipantSockets
 from tests.hostile.meter import Meter
 from tests.hostile.victim import MOST_MEMORY
 from tests.transports.rtps.world import TYPE, payload

@@ -9,7 +9,7 @@ from a2a.utils.errors import InvalidParamsError, TaskNotCancelableError, TaskNot
 
 from fibaction_transports._agents import questions
 from fibaction_transports.a2a.documents import Document
-from fibaction_transports.a2a.questions import answer_in
+from fibaction_transports.a2a.goal_messages import answer_in
 from tests.transports.a2a.agent_talk import (
     data_of,
     message,

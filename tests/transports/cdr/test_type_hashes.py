@@ -9,8 +9,7 @@ import pytest
 
 from fibaction.interfaces import read_action
 from fibaction.interfaces.files import InterfaceMessage, inside_out
-from fibaction_transports.cdr.action_messages import CANCEL_GOAL, action_interface
-from fibaction_transports.cdr.standard_messages import MESSAGES
+from fibaction_transports.cdr.standard_messages import CANCEL_GOAL, MESSAGES, action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from tests.transports.cdr.definitions import POSES, TESTS, action_of, message_in
 

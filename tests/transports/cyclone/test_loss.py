@@ -7,9 +7,9 @@ from random import Random
 import pytest
 
 from fibaction import serve
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 from fibaction_transports.rtps.participant import Participant
-from fibaction_transports.rtps.sockets import ParticipantSockets
+from fibaction_transports.rtps.ports import ParticipantSockets
 from tests.support.fibonacci import Goal, Result
 from tests.transports.cyclone import dds_end
 from tests.transports.cyclone.dds_end import NINE, cyclone_client, cyclone_server, new_name

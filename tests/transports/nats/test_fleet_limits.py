@@ -20,16 +20,16 @@ from fibaction_transports.nats.broker.broker import (
     PutError,
     PutFailure,
 )
-from fibaction_transports.nats.records import encode
-from fibaction_transports.nats.worker.fleet_limits import FleetLimits, FleetSlots
-from fibaction_transports.nats.worker.key_entry import (
+from fibaction_transports.nats.records import (
     Demand,
     KeyEntry,
     KeyShare,
+    encode,
     given,
     key_entry,
     next_entry,
 )
+from fibaction_transports.nats.worker.fleet_limits import FleetLimits, FleetSlots
 from fibaction_transports.nats.worker.lease import MemberPart, Membership
 from fibaction_transports.nats.worker.lost_workers import LostWorkers
 from fibaction_transports.nats.workers import FleetWorkers

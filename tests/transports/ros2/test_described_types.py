@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from fibaction.interfaces.files import ActionFile, read_action_texts, read_message_texts
-from fibaction_transports.cdr.action_messages import action_interface
-from fibaction_transports.cdr.standard_messages import MESSAGES
+from fibaction_transports.cdr.standard_messages import MESSAGES, action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.without_ros.descriptions import described_types
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction_transports.rtps.discovery.remote_participant import (
+from fibaction_transports.rtps.discovery.known_participants import (
     ParticipantData,
     participant_payload,
 )
@@ -15,9 +15,10 @@ from fibaction_transports.rtps.messages.ids import (
     PUBLICATIONS_WRITER,
     SPDP_WRITER,
     UNKNOWN_ENTITY,
+    Address,
+    udp_locator,
 )
 from fibaction_transports.rtps.messages.layout import LITTLE, Order
-from fibaction_transports.rtps.messages.locators import Address, udp_locator
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import (
     Data,

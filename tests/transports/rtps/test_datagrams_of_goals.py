@@ -6,7 +6,7 @@ import pytest
 
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.writer import DataWriter
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 from fibaction_transports.rtps.messages.submessages import WriterHeartbeat
 from tests.transports.rtps.world import GROUP, Node, World, payload, reader_of, writer_of
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
-from fibaction_transports.rtps.discovery.remote_participant import (
+from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.known_participants import (
     ParticipantData,
     participant_payload,
     reachable,
@@ -33,9 +33,10 @@ from fibaction_transports.rtps.messages.ids import (
     SPDP_WRITER,
     UNKNOWN_ENTITY,
     Guid,
+    Locator,
+    udp_locator,
 )
 from fibaction_transports.rtps.messages.layout import BIG
-from fibaction_transports.rtps.messages.locators import Locator, udp_locator
 from fibaction_transports.rtps.messages.parameters import (
     Parameters,
     list_payload,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fibaction_transports.rtps.discovery.remote_endpoints import read_endpoint
-from fibaction_transports.rtps.discovery.remote_participant import read_participant
+from fibaction_transports.rtps.discovery.endpoint_discovery import read_endpoint
+from fibaction_transports.rtps.discovery.known_participants import read_participant
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.messages import parameters as pids
 from fibaction_transports.rtps.messages.codec import read_packet, submessage_bytes

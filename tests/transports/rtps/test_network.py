@@ -17,7 +17,7 @@ from fibaction.border.event_loop import Background, asyncio_loop
 from fibaction.words.errors import TransportError
 from fibaction_transports.rtps import loops
 from fibaction_transports.rtps import network as network_module
-from fibaction_transports.rtps import sockets as sockets_module
+from fibaction_transports.rtps import ports as ports_module
 from fibaction_transports.rtps.discovery.type_lookup import TYPE_ID_SIZE
 from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import (
@@ -43,11 +43,12 @@ from fibaction_transports.rtps.ports import (
     PARTICIPANTS,
     DiscoveryRange,
     DomainSettings,
+    ParticipantSockets,
+    default_interface,
     discovery_port,
     multicast_port,
 )
 from fibaction_transports.rtps.qos import Qos
-from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
 from tests.support.ipv6 import has_ipv6
 from tests.support.ros_domain import claim_domain
 from tests.transports.rtps.world import TOPIC, TYPE, payload
@@ -562,7 +563,7 @@ def test_a_full_domain_is_an_error(domain: int, opened: Opened) -> None:
 def test_a_host_that_cannot_be_bound_is_an_error(
     opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets_module, "LOCALHOSTS", {4: "192.0.2.1"})
+    monkeypatch.setattr(ports_module, "LOCALHOSTS", {4: "192.0.2.1"})
     with pytest.raises(TransportError, match=r"cannot bind to 192.0.2.1"):
         opened()
 

@@ -9,9 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from fibaction_transports.rtps.messages import parameters as pids
-from fibaction_transports.rtps.messages.ids import Guid
+from fibaction_transports.rtps.messages.ids import Guid, udp_locator
 from fibaction_transports.rtps.messages.layout import BIG, LITTLE, InvalidPacket
-from fibaction_transports.rtps.messages.locators import udp_locator
 from fibaction_transports.rtps.messages.parameters import (
     Parameters,
     SampleIdentity,

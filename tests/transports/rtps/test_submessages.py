@@ -11,6 +11,12 @@ from hypothesis import strategies as st
 
 from fibaction_transports.rtps.messages import layout
 from fibaction_transports.rtps.messages.codec import packet_head, read_packet, submessage_bytes
+from fibaction_transports.rtps.messages.ids import (
+    Locator,
+    locator_bytes,
+    read_locator,
+    udp_locator,
+)
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     LITTLE,
@@ -21,12 +27,6 @@ from fibaction_transports.rtps.messages.layout import (
     read_duration,
     seconds_of,
     time_halves,
-)
-from fibaction_transports.rtps.messages.locators import (
-    Locator,
-    locator_bytes,
-    read_locator,
-    udp_locator,
 )
 from fibaction_transports.rtps.messages.parameters import Parameters
 from fibaction_transports.rtps.messages.submessages import (

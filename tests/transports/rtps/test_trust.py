@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, endpoint_payload
+from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointData, endpoint_payload
 from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import DISPOSED, History, StoredSample
 from fibaction_transports.rtps.endpoints.writer_proxy import MOST_REQUESTS
@@ -29,8 +29,8 @@ from fibaction_transports.rtps.messages.ids import (
     SUBSCRIPTIONS_WRITER,
     UNKNOWN_ENTITY,
     Guid,
+    udp_locator,
 )
-from fibaction_transports.rtps.messages.locators import udp_locator
 from fibaction_transports.rtps.messages.parameters import STATUS_INFO, Parameters
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fibaction_transports.rtps.discovery import remote_participant
+from fibaction_transports.rtps.discovery import known_participants
 from fibaction_transports.rtps.discovery.type_lookup import (
     question_payload,
     read_answer,
@@ -104,7 +104,7 @@ class Answers:
 
 @pytest.fixture
 def everybody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remote_participant, "ANSWERS_TYPES", 0)
+    monkeypatch.setattr(known_participants, "ANSWERS_TYPES", 0)
 
 
 @pytest.mark.usefixtures("everybody_answers")

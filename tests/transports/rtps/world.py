@@ -17,7 +17,7 @@ from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event, SampleReceived
 from fibaction_transports.rtps.limits import RtpsLimits
 from fibaction_transports.rtps.messages.codec import read_packet
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import Address
 from fibaction_transports.rtps.messages.submessages import Submessage
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.qos import Qos

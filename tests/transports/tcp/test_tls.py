@@ -28,8 +28,7 @@ from fibaction.wire.frames import FrameReader
 from fibaction.wire.settings import Limits
 from fibaction_transports._socket_lines import sockets
 from fibaction_transports._socket_lines.on_asyncio import ClientTls
-from fibaction_transports._socket_lines.tls import TlsChannel, TlsListener
-from fibaction_transports._socket_lines.tls_frames import TlsEnd
+from fibaction_transports._socket_lines.tls import TlsChannel, TlsEnd, TlsListener
 from fibaction_transports.tcp import TcpTransport, TlsFiles
 from tests.support.certificates import pems
 from tests.transports.hearing import Hearing, port_of, raw

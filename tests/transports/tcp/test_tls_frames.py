@@ -1,4 +1,4 @@
-"""`fibaction_transports._socket_lines.tls_frames`: frames inside TLS, without a network."""
+"""`fibaction_transports._socket_lines.tls`: frames inside TLS, without a network."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fibaction.wire.channel import CHUNK
 from fibaction.wire.frames import FrameReader, framed
 from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, ProtocolError
-from fibaction_transports._socket_lines.tls_frames import (
+from fibaction_transports._socket_lines.tls import (
     MOST_ANSWERS,
     TlsEnd,
     TlsFraming,

@@ -1,4 +1,4 @@
-"""`fibaction_transports.web.http.assets`: the files, and the headers that they come with."""
+"""`fibaction_transports.web.http.plain_paths`: the files, and the headers that they come with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 
 import pytest
 
-from fibaction_transports.web.http.assets import (
+from fibaction_transports.web.http.plain_paths import (
     CLIENT,
     MEDIA_TYPES,
     PAGE_POLICY,

@@ -1,6 +1,6 @@
 """Sockets on asyncio as lines, with and without TLS: to dial a server, and to serve its clients.
 
-`protocol_line` has the lines, and `tls_frames` the frames inside TLS. `ClientTls` is the TLS of a
+`protocol_line` has the lines, and `tls` the frames inside TLS. `ClientTls` is the TLS of a
 client from one connection to the next.
 """
 
@@ -23,8 +23,13 @@ from fibaction.wire.frames import FrameReader, Framing
 from fibaction.wire.transport import TlsFiles
 from fibaction_transports._socket_lines.protocol_line import LineTurns, ProtocolLine
 from fibaction_transports._socket_lines.sockets import SocketStream, accept_sockets, peer_of
-from fibaction_transports._socket_lines.tls import TlsListener, telling
-from fibaction_transports._socket_lines.tls_frames import TlsEnd, TlsFraming, shake_hands
+from fibaction_transports._socket_lines.tls import (
+    TlsEnd,
+    TlsFraming,
+    TlsListener,
+    shake_hands,
+    telling,
+)
 
 NEXT_ADDRESS = 0.25
 """Seconds after which a host is tried at its next address, too: as RFC 8305 recommends."""

@@ -1,14 +1,21 @@
-"""Goals in the messages of agents: which skill a message is for, and its goal.
+"""Goals in the messages of agents, each for a skill, and the answers of users who are asked.
 
 A program sends the goal as data, and names the skill in the metadata. Many agents can only send a
 text that their model has written. So a text that is JSON is a goal as well, one that is not is the
 only text field of a goal, and `{"skill": ..., "goal": ...}` names the skill in the document itself.
+
+A question to a user (`Questions`) is a task that requires input. Its ID is that of the goal, which
+is sent once the agent has answered with a message to the task: the text `yes`, or the data
+`{"consent": true}`. A goal that the user declines is a rejected task. A question belongs to the
+client that asked, by its token, and to the goal that was shown: the same ID with another goal is an
+error, and other clients know no task of that ID. An agent that answers in place of its user is not
+noticed: that is a matter of trust, as with every protocol for agents.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 from uuid import UUID
 
 from a2a.types import Message, SendMessageRequest
@@ -19,6 +26,7 @@ from fibaction.schema.payload import PayloadError, to_json
 from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.words.goals import NO_GOAL, GoalID
 from fibaction.words.plain_data import is_map
+from fibaction_transports._agents.questions import OpenQuestions
 from fibaction_transports.a2a.agent_card import Skill, Skills
 from fibaction_transports.a2a.documents import LARGEST, Document, has_inexact
 
@@ -138,3 +146,71 @@ def goal_id_of(message: Message) -> GoalID:
     except ValueError:
         goal_id = NO_GOAL
     return GoalID.random() if goal_id == NO_GOAL else goal_id
+
+
+_ANSWERS = {"yes": True, "no": False}
+
+
+class Question(NamedTuple):
+    """A goal about which a user is asked."""
+
+    goal_id: GoalID
+    skill: Skill
+    goal: Any
+    context_id: str
+    text: str
+    """The question, for the user."""
+    client: str
+    """The client whose user is asked."""
+
+
+class Questions:
+    """The questions of one server that wait for their answers."""
+
+    def __init__(self) -> None:
+        self._open: OpenQuestions[Question] = OpenQuestions()
+
+    def ask(
+        self,
+        goal_id: GoalID,
+        skill: Skill,
+        goal: Any,
+        context_id: str,
+        text: str,
+        client: str,
+    ) -> Question:
+        """Begin to wait for an answer; a question that is asked again goes on.
+
+        Raises:
+            InvalidParamsError: Another question has the ID.
+        """
+        question = Question(goal_id, skill, goal, context_id or str(goal_id), text, client)
+        known = self._open.find(str(goal_id))
+        if known is not None and (known.client, known.text) != (client, text):
+            raise InvalidParamsError(
+                "another message has this ID: give each message an ID of its own"
+            )
+        self._open.add(str(goal_id), question)
+        return question
+
+    def find(self, goal_id: GoalID, client: str) -> Question | None:
+        """Return the question of a client about a goal; None if there is none, or it was asked too
+        long ago.
+        """
+        question = self._open.find(str(goal_id))
+        return None if question is None or question.client != client else question
+
+    def close(self, question: Question) -> None:
+        """Wait for the answer no longer."""
+        self._open.close(str(question.goal_id))
+
+
+def answer_in(documents: Sequence[Document]) -> bool | None:
+    """Return the answer in the documents of a message; None if it is not one."""
+    if len(documents) != 1:
+        return None
+    kind, value = documents[0]
+    if kind == "text":
+        return _ANSWERS.get(value.strip().strip(".!").lower())
+    consent = value.get("consent") if is_map(value) else None
+    return consent if isinstance(consent, bool) else None

@@ -58,8 +58,13 @@ from fibaction_transports._agents.questions import UnshownGoal, question_about
 from fibaction_transports._agents.robot_actions import AgentPolicy
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.documents import asked_request
-from fibaction_transports.a2a.goal_messages import goal_id_of, goal_in
-from fibaction_transports.a2a.questions import Question, Questions, answer_in
+from fibaction_transports.a2a.goal_messages import (
+    Question,
+    Questions,
+    answer_in,
+    goal_id_of,
+    goal_in,
+)
 from fibaction_transports.a2a.task_views import (
     AFTER_RESULT,
     artifact_event,

@@ -3,7 +3,7 @@
 `dds://` uses it. Nothing here does I/O.
 
 - `codec`: `CdrCodec`, which turns structs of `fibaction.interfaces` into payloads and back;
-- `action_messages`: the requests, responses and feedback that ROS makes of an action;
-- `standard_messages`: the messages that all actions have in common;
+- `standard_messages`: the messages that all actions have in common, and the requests, responses and
+  feedback that ROS makes of an action;
 - `type_hashes`: RIHS01 of a type, a service or an action.
 """

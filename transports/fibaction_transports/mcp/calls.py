@@ -27,7 +27,6 @@ from fibaction_transports.mcp.answers import (
     message_in,
     overview,
 )
-from fibaction_transports.mcp.arguments import client_of, with_arguments
 from fibaction_transports.mcp.consent import AskedTasks, Consents, check_can_ask
 from fibaction_transports.mcp.goal_tasks import asked_task, created, wants_task
 from fibaction_transports.mcp.tool_list import (
@@ -37,7 +36,9 @@ from fibaction_transports.mcp.tool_list import (
     STATUS,
     ToolAction,
     ToolActions,
+    client_of,
     tool_list,
+    with_arguments,
 )
 
 PROGRESS_PERIOD = 0.2

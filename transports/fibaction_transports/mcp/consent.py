@@ -51,7 +51,7 @@ from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal
 from fibaction_transports._agents.questions import QUESTION_TIMEOUT, OpenQuestions
 from fibaction_transports.mcp.answers import ToolError, error_answer
-from fibaction_transports.mcp.arguments import client_of
+from fibaction_transports.mcp.tool_list import client_of
 
 KEY = "consent"
 FORM: dict[str, Any] = {"type": "object", "properties": {}}

@@ -60,13 +60,12 @@ from fibaction_transports.mcp.answers import (
     goal_answer,
     message_in,
 )
-from fibaction_transports.mcp.arguments import client_of
 from fibaction_transports.mcp.consent import (
     AskedTask,
     AskedTasks,
     input_requests,
 )
-from fibaction_transports.mcp.tool_list import CANCEL, ToolAction
+from fibaction_transports.mcp.tool_list import CANCEL, ToolAction, client_of
 
 EXTENSION = "io.modelcontextprotocol/tasks"
 """The identifier of the extension."""

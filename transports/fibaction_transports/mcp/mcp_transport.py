@@ -38,7 +38,7 @@ from fibaction_transports._agents.agent_http_transport import (
     DocumentApp,
 )
 from fibaction_transports._agents.robot_actions import AgentPolicy
-from fibaction_transports.mcp.arguments import take_arguments
+from fibaction_transports.mcp.tool_list import take_arguments
 from fibaction_transports.mcp.tool_server import ToolServer
 
 if TYPE_CHECKING:

@@ -1,9 +1,10 @@
-"""`ToolAction`: an action as a tool; and the tools of a bridge, as clients list them.
+"""The tools of a bridge: each action as a tool (`ToolAction`), as clients list it, and its
+arguments in a call.
 
 The schemas of a tool are made from the JSON Schemas of a goal and of a result. The input of a tool
 is always an object. A goal that is one is the input itself; any other goal, for example a number,
 is the field `goal` of the input. The output tells about the goal, and has the result as the field
-`result`.
+`result`. The arguments come beside the request of the SDK if they came by HTTP.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from mcp_types import Tool, ToolAnnotations
+from mcp.server.context import ServerRequestContext
+from mcp_types import CallToolRequestParams, Tool, ToolAnnotations
 
 from fibaction.border.abc import Connection
 from fibaction.border.peer_text import excerpt, shortened
 from fibaction.types.action import ActionInfo
+from fibaction.wire.auth import Peer
 from fibaction.words.plain_data import is_list, is_map
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.robot_actions import AgentPolicy, RobotAction, RobotActions
@@ -264,3 +267,39 @@ def _references(schema: Any) -> Iterator[str]:
             todo.extend(part.values())
         elif is_list(part):
             todo.extend(part)
+
+
+CALL = "tools/call"
+
+
+def take_arguments(request: dict[str, Any]) -> dict[str, Any] | None:
+    """Take the arguments out of the call of a tool; return None if it is not one."""
+    params = request.get("params")
+    if request.get("method") != CALL or not is_map(params):
+        return None
+    arguments = params.get("arguments")
+    if not is_map(arguments):
+        return None
+    params["arguments"] = {}
+    return dict(arguments)
+
+
+def state_of(context: ServerRequestContext[Any, Any]) -> dict[str, Any]:
+    """Return what the HTTP server knows about a request; nothing if it came otherwise."""
+    scope: dict[str, Any] = getattr(context.request, "scope", {})
+    state: dict[str, Any] = scope.get("state", {})
+    return state
+
+
+def with_arguments(
+    context: ServerRequestContext[Any, Any], params: CallToolRequestParams
+) -> CallToolRequestParams:
+    """Return the parameters of a call with the arguments that were taken out of its request."""
+    arguments = state_of(context).get("documents")
+    return params if arguments is None else params.model_copy(update={"arguments": arguments})
+
+
+def client_of(context: ServerRequestContext[Any, Any]) -> str:
+    """Return the name that belongs to the client's token; empty if the transport has no tokens."""
+    client: Peer | None = state_of(context).get("client")
+    return "" if client is None else client.name

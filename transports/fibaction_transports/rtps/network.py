@@ -19,19 +19,19 @@ from fibaction_transports.rtps.endpoints.writer import DataWriter
 from fibaction_transports.rtps.events import Event
 from fibaction_transports.rtps.limits import MIB
 from fibaction_transports.rtps.loops import AnyioLoop, AsyncioLoop, DrivingLoop, calls_for
-from fibaction_transports.rtps.messages.ids import Guid
-from fibaction_transports.rtps.messages.locators import Address, is_ipv6
+from fibaction_transports.rtps.messages.ids import Address, Guid, is_ipv6
 from fibaction_transports.rtps.participant import Participant, ParticipantSettings
 from fibaction_transports.rtps.ports import (
     LOCALHOSTS,
     DiscoveryRange,
     DomainSettings,
+    ParticipantSockets,
     announced_addresses,
     data_port,
+    default_interface,
     discovery_port,
 )
 from fibaction_transports.rtps.qos import Qos
-from fibaction_transports.rtps.sockets import ParticipantSockets, default_interface
 
 DATAGRAMS_READ_AT_ONCE = 64
 """Datagrams that are read from a socket at once."""

@@ -15,8 +15,7 @@ from fibaction_transports.rtps.messages.codec import (
     submessage_bytes,
     submessage_pieces,
 )
-from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, UNKNOWN_PREFIX
-from fibaction_transports.rtps.messages.locators import Address
+from fibaction_transports.rtps.messages.ids import UNKNOWN_ENTITY, UNKNOWN_PREFIX, Address
 from fibaction_transports.rtps.messages.submessages import (
     Data,
     DataFragment,

@@ -25,15 +25,19 @@ from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointDiscovery, Matcher
-from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
-from fibaction_transports.rtps.discovery.liveliness import Assertions, WriterLiveliness
-from fibaction_transports.rtps.discovery.local_endpoints import BuiltinEndpoints, LocalEndpoints
-from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData, RemoteEndpoints
-from fibaction_transports.rtps.discovery.remote_participant import (
+from fibaction_transports.rtps.discovery.endpoint_discovery import (
+    EndpointData,
+    EndpointDiscovery,
+    Matcher,
+    RemoteEndpoints,
+)
+from fibaction_transports.rtps.discovery.known_participants import (
+    KnownParticipants,
     ParticipantData,
     RemoteParticipant,
 )
+from fibaction_transports.rtps.discovery.liveliness import Assertions, WriterLiveliness
+from fibaction_transports.rtps.discovery.local_endpoints import BuiltinEndpoints, LocalEndpoints
 from fibaction_transports.rtps.discovery.type_lookup import TypeLookup
 from fibaction_transports.rtps.endpoints.reader import DataReader, EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import Sample
@@ -48,11 +52,12 @@ from fibaction_transports.rtps.messages.ids import (
     OWN_VENDOR,
     PARTICIPANT,
     PREFIX_SIZE,
+    Address,
     Guid,
+    udp_locator,
     user_entity,
 )
 from fibaction_transports.rtps.messages.layout import InvalidPacket
-from fibaction_transports.rtps.messages.locators import Address, udp_locator
 from fibaction_transports.rtps.qos import Qos
 from fibaction_transports.rtps.router import MessageRouter
 

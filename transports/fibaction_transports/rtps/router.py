@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from fibaction_transports.rtps.discovery.known_participants import KnownParticipants
+from fibaction_transports.rtps.discovery.known_participants import (
+    KnownParticipants,
+    RemoteParticipant,
+)
 from fibaction_transports.rtps.discovery.liveliness import WriterLiveliness
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.reader import EarlyHeartbeats
 from fibaction_transports.rtps.endpoints.sample import received_sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts
@@ -13,10 +15,10 @@ from fibaction_transports.rtps.messages.ids import (
     BUILTIN,
     SPDP_WRITER,
     UNKNOWN_PREFIX,
+    Address,
     Guid,
     is_builtin,
 )
-from fibaction_transports.rtps.messages.locators import Address
 from fibaction_transports.rtps.messages.submessages import (
     AckNack,
     Data,

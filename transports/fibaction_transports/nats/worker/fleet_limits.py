@@ -53,10 +53,11 @@ from fibaction_transports.nats.broker.broker import (
     PutFailure,
 )
 from fibaction_transports.nats.names import FleetNames
-from fibaction_transports.nats.records import NONCE_SIZE, encode
-from fibaction_transports.nats.worker.key_entry import (
+from fibaction_transports.nats.records import (
+    NONCE_SIZE,
     Demand,
     KeyEntry,
+    encode,
     given,
     key_entry,
     next_entry,

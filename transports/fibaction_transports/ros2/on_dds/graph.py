@@ -35,7 +35,7 @@ from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.without_ros.messages.action_types import standard_type
 from fibaction_transports.ros2.without_ros.messages.message_type import read_hashes, ros_type
 from fibaction_transports.ros2.without_ros.ros_arguments import NodeName
-from fibaction_transports.rtps.discovery.remote_endpoints import EndpointData
+from fibaction_transports.rtps.discovery.endpoint_discovery import EndpointData
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.writer import DataWriter

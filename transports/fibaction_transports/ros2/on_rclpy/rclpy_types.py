@@ -12,7 +12,7 @@ from fibaction.interfaces import InterfaceError
 from fibaction.interfaces.files import ActionFile, read_action, read_action_texts
 from fibaction.interfaces.packages import ros_folders
 from fibaction.words.errors import ProtocolError, TransportError, text_of
-from fibaction_transports.cdr.action_messages import action_interface
+from fibaction_transports.cdr.standard_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2.convert.conversion import RosAction, check_action_type
 from fibaction_transports.ros2.convert.message_classes import message_kind

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from fibaction_transports.rtps.discovery import remote_participant as bits
-from fibaction_transports.rtps.discovery.remote_participant import (
+from fibaction_transports.rtps.discovery import known_participants as bits
+from fibaction_transports.rtps.discovery.known_participants import (
     ParticipantData,
     RemoteParticipant,
 )

@@ -14,9 +14,9 @@ import struct
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from fibaction_transports.rtps.discovery import remote_participant as bits
+from fibaction_transports.rtps.discovery import known_participants as bits
+from fibaction_transports.rtps.discovery.known_participants import RemoteParticipant
 from fibaction_transports.rtps.discovery.local_endpoints import LocalEndpoints
-from fibaction_transports.rtps.discovery.remote_participant import RemoteParticipant
 from fibaction_transports.rtps.endpoints.reader import DataReader
 from fibaction_transports.rtps.endpoints.sample import Sample
 from fibaction_transports.rtps.endpoints.shared import SharedParts

@@ -23,9 +23,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from fibaction_transports.rtps.endpoints.catch_up import OVERTAKEN, CatchUp, RequestPace
-from fibaction_transports.rtps.endpoints.fragments import PartialSample
 from fibaction_transports.rtps.endpoints.sample import PADDING_BITS, Sample, unpadded
-from fibaction_transports.rtps.endpoints.shared import SharedParts
+from fibaction_transports.rtps.endpoints.shared import PartialSample, SharedParts
 from fibaction_transports.rtps.events import SamplesLost
 from fibaction_transports.rtps.messages.ids import FAST_DDS, Guid
 from fibaction_transports.rtps.messages.layout import MAX_BITS

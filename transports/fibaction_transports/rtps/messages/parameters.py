@@ -8,7 +8,13 @@ from typing import NamedTuple
 
 from msgspec import Struct
 
-from fibaction_transports.rtps.messages.ids import GUID_SIZE, Guid
+from fibaction_transports.rtps.messages.ids import (
+    GUID_SIZE,
+    Guid,
+    Locator,
+    locator_bytes,
+    read_locator,
+)
 from fibaction_transports.rtps.messages.layout import (
     BIG,
     ENCAPSULATION,
@@ -20,7 +26,6 @@ from fibaction_transports.rtps.messages.layout import (
     Order,
     read_duration,
 )
-from fibaction_transports.rtps.messages.locators import Locator, locator_bytes, read_locator
 
 SENTINEL = 0x01
 LEASE = 0x02

@@ -21,8 +21,8 @@ from fibaction.interfaces.files import (
 )
 from fibaction.interfaces.parser import parse_message
 from fibaction.words.errors import ProtocolError
-from fibaction_transports.cdr.action_messages import action_interface
 from fibaction_transports.cdr.codec import CdrCodec
+from fibaction_transports.cdr.standard_messages import action_interface
 from fibaction_transports.cdr.type_hashes import NO_FIELDS, TYPE_NUMBERS, type_hash
 from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 from fibaction_transports.ros2.without_ros.messages.node_messages import node_message

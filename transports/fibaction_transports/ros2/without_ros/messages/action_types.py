@@ -13,22 +13,20 @@ from fibaction.interfaces.definitions import FieldType
 from fibaction.interfaces.files import ActionFile, InterfaceMessage, read_action_texts
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import TransportError
-from fibaction_transports.cdr.action_messages import (
+from fibaction_transports.cdr.codec import CdrCodec
+from fibaction_transports.cdr.standard_messages import (
+    MESSAGES,
+    STRUCTS,
     ActionCodecs,
     FeedbackMessage,
     GetResultRequest,
     GetResultResponse,
     SendGoalRequest,
     SendGoalResponse,
-    standard_codec,
-)
-from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.cdr.standard_messages import (
-    MESSAGES,
-    STRUCTS,
     TimeMessage,
     UuidMessage,
     composed,
+    standard_codec,
 )
 from fibaction_transports.ros2.convert.conversion import RosAction, RosCodec, RosCodecs
 from fibaction_transports.ros2.convert.fields import SINGLES, Kind, array_kind, text_kind

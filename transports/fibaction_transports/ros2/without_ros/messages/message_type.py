@@ -10,8 +10,8 @@ from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 from fibaction.interfaces.files import InterfaceMessage
-from fibaction_transports.cdr.action_messages import service_interface
 from fibaction_transports.cdr.codec import CdrCodec
+from fibaction_transports.cdr.standard_messages import service_interface
 from fibaction_transports.cdr.type_hashes import PREFIX, type_hash
 
 

@@ -1,4 +1,4 @@
-"""The messages that ROS makes of an action, compared with the bytes of ROS."""
+"""The messages of ROS for actions, compared with the bytes of ROS."""
 
 from __future__ import annotations
 
@@ -8,28 +8,26 @@ import pytest
 
 from fibaction import TransportError
 from fibaction.interfaces import read_action
-from fibaction_transports.cdr.action_messages import (
+from fibaction_transports.cdr.codec import CdrCodec
+from fibaction_transports.cdr.standard_messages import (
     ActionCodecs,
+    CancelGoalRequest,
+    CancelGoalResponse,
     FeedbackMessage,
     GetResultRequest,
     GetResultResponse,
-    SendGoalRequest,
-    SendGoalResponse,
-    action_interface,
-    standard_codec,
-)
-from fibaction_transports.cdr.codec import CdrCodec
-from fibaction_transports.cdr.standard_messages import (
-    CancelGoalRequest,
-    CancelGoalResponse,
     GidMessage,
     GoalInfoMessage,
     GoalStatusArray,
     GoalStatusMessage,
     NodeEntitiesInfo,
     ParticipantEntitiesInfo,
+    SendGoalRequest,
+    SendGoalResponse,
     TimeMessage,
     UuidMessage,
+    action_interface,
+    standard_codec,
 )
 from tests.transports.cdr.definitions import TESTS, action_of
 from tests.transports.cdr.recorded import recorded
