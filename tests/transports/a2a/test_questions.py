@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from a2a.utils.errors import InvalidParamsError, TaskNotCancelableError, TaskNotFoundError
 
-from fibaction_transports._agents import questions
+from fibaction_transports._agents import robot_actions
 from fibaction_transports.a2a.documents import Document
 from fibaction_transports.a2a.goal_messages import answer_in
 from tests.transports.a2a.agent_talk import (
@@ -114,14 +114,14 @@ async def test_a_goal_that_the_user_cannot_be_shown_is_not_sent() -> None:
 
 
 async def test_a_question_expires_and_only_so_many_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(questions, "MOST_QUESTIONS", 1)
+    monkeypatch.setattr(robot_actions, "MOST_QUESTIONS", 1)
     async with robot_and_talk(unasked=[]) as (_, talk):
         one = await talk.send({"meters": 3}, skill="arm-drive")
         two = await talk.send({"meters": 3}, skill="arm-drive")
         with pytest.raises(TaskNotFoundError):
             await talk.get(one.id)
         assert state_of(await talk.get(two.id)) == "INPUT_REQUIRED"
-        monkeypatch.setattr(questions, "QUESTION_TIMEOUT", 0)
+        monkeypatch.setattr(robot_actions, "QUESTION_TIMEOUT", 0)
         late = await talk.send({"meters": 3}, skill="arm-drive")
         with pytest.raises(TaskNotFoundError):
             await talk.get(late.id)

@@ -19,8 +19,8 @@ from mcp_types import (
 )
 
 from fibaction.schema.payload import JsonCodec
-from fibaction_transports._agents import questions
-from fibaction_transports._agents.questions import UnshownGoal, goal_text
+from fibaction_transports._agents import robot_actions
+from fibaction_transports._agents.robot_actions import UnshownGoal, goal_text
 from fibaction_transports.mcp import AgentPolicy, consent
 from tests.transports.driving_robot import Drive
 from tests.transports.mcp.robot import (
@@ -82,7 +82,7 @@ async def test_a_client_that_cannot_ask_sends_nothing_but_what_is_permitted(mode
 async def test_a_tool_sends_no_goal_that_is_too_long_to_be_shown(
     mode: Mode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fibaction_transports._agents.questions.LONGEST_GOAL", 10)
+    monkeypatch.setattr("fibaction_transports._agents.robot_actions.LONGEST_GOAL", 10)
     async with robot_and_talk(mode, answer="accept") as (robot, made):
         assert "can be shown 10" in await made.error("arm-drive", meters=3)
         assert made.asked == []
@@ -174,7 +174,7 @@ async def test_an_answer_counts_once_and_for_the_same_goal_only(
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)
 
-        monkeypatch.setattr(questions, "QUESTION_TIMEOUT", -1.0)
+        monkeypatch.setattr(robot_actions, "QUESTION_TIMEOUT", -1.0)
         state = await rounds.ask(3)
         again = await rounds.call(3, input_responses=YES, request_state=state)
         assert isinstance(again, InputRequiredResult)

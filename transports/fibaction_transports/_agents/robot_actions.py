@@ -1,28 +1,33 @@
-"""`RobotActions`: the actions of some servers, by the names that agents have for them, and
-`AgentPolicy`: the rules for what an agent may do with them.
+"""`RobotActions`: the actions of some servers, by the names that agents have for them;
+`AgentPolicy`: the rules for what an agent may do with them; and the questions to users before goals
+are sent, for which the policy may ask.
 
 Language models take letters, digits, `_` and `-`, and at most 64 of them. So `arm/pick` is
 `arm-pick`, and on a server that is called `left` it is `left-arm-pick`. A name stays for as long as
 its action is there. What cannot be used here, for example because its ROS type is not installed, is
 left out, and the log says so once.
+
+`OpenQuestions` are those that wait for their answers.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from hashlib import blake2b
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
+import anyio
 import msgspec
 
 from fibaction.border.abc import Connection, Notifier
 from fibaction.border.gateway import SeenServer, ServerGroup
-from fibaction.border.peer_text import clean_logger, excerpt
+from fibaction.border.peer_text import clean_logger, excerpt, with_escapes
 from fibaction.border.settings import TransportSettings
-from fibaction.schema.payload import GoalCodec, PayloadError
+from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError, to_json
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import TransportError
 
@@ -226,3 +231,79 @@ def action_name(server: str, action: str, taken: Collection[str]) -> str:
         return name
     digest = blake2b(f"{server}\n{action}".encode(errors="replace"), digest_size=4).hexdigest()
     return f"{name[: LONGEST - len(digest) - 1]}_{digest}"
+
+
+QUESTION_TIMEOUT = 600.0
+"""Seconds that a user has to answer a question."""
+MOST_QUESTIONS = 1000
+"""Questions that wait for their answers at once; the oldest of more is forgotten."""
+
+QuestionT = TypeVar("QuestionT")
+LONGEST_GOAL = 4000
+"""Characters of a goal that a user is asked about. The user must see all of what is sent."""
+MOST_LINES = 40
+"""Lines of a goal that is shown with one field on a line."""
+
+
+class OpenQuestions(Generic[QuestionT]):
+    """Questions by their keys, in the order in which they were asked."""
+
+    def __init__(self) -> None:
+        self._questions: dict[str, tuple[QuestionT, float]] = {}
+
+    def add(self, key: str, question: QuestionT) -> None:
+        """Begin to wait for an answer; a question that is asked again is the newest."""
+        self._questions.pop(key, None)
+        while len(self._questions) >= MOST_QUESTIONS:
+            del self._questions[next(iter(self._questions))]
+        self._questions[key] = question, anyio.current_time() + QUESTION_TIMEOUT
+
+    def find(self, key: str) -> QuestionT | None:
+        """Return a question; None if there is none, or it was asked too long ago."""
+        question, expires = self._questions.get(key, (None, 0.0))
+        return question if expires > anyio.current_time() else None
+
+    def close(self, key: str) -> None:
+        """Wait for the answer no longer."""
+        self._questions.pop(key, None)
+
+
+class UnshownGoal(Exception):
+    """A goal that cannot be shown to the user, so that it is not sent; the text says why."""
+
+
+def goal_text(message: Mapping[str, Any] | Any, goals: JsonCodec) -> str:
+    """Return a goal as the user is to see it: JSON, and the names of the fields that are left to
+    the server, without characters that could deceive.
+
+    Raises:
+        UnshownGoal: It is too long to be shown, or cannot be.
+    """
+    try:
+        line = to_json(message)
+    except PayloadError as exc:
+        raise UnshownGoal(f"The goal was not sent, because the user cannot see it: {exc}") from exc
+    lines = json.dumps(json.loads(line), indent=2, ensure_ascii=False).split("\n")
+    shown = [line] if len(lines) > MOST_LINES else lines
+    text = _without_deceit(shown)
+    if len(text) > LONGEST_GOAL:
+        raise UnshownGoal(
+            f"The goal was not sent: it has {len(text)} characters, and the user, who must agree to"
+            f" it, can be shown {LONGEST_GOAL}. Send a shorter one."
+        )
+    if left_out := goals.left_out(message):
+        text += "\n\n" + _without_deceit([f"The server fills in: {', '.join(left_out)}"])
+    return text
+
+
+def question_about(action: RobotAction, goal: Any) -> str:
+    """Return the question to the user whether a goal may be sent.
+
+    Raises:
+        UnshownGoal: It cannot be shown, as for `goal_text`.
+    """
+    return f"Send this goal to the action {action.title}?\n\n{goal_text(goal, action.goals)}"
+
+
+def _without_deceit(lines: Iterable[str]) -> str:
+    return "\n".join(with_escapes(line, lambda c: json.dumps(c)[1:-1]) for line in lines)

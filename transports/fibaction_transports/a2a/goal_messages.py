@@ -26,7 +26,7 @@ from fibaction.schema.payload import PayloadError, to_json
 from fibaction.schema.turns import Pause, in_turn, read_json
 from fibaction.words.goals import NO_GOAL, GoalID
 from fibaction.words.plain_data import is_map
-from fibaction_transports._agents.questions import OpenQuestions
+from fibaction_transports._agents.robot_actions import OpenQuestions
 from fibaction_transports.a2a.agent_card import Skill, Skills
 from fibaction_transports.a2a.documents import LARGEST, Document, has_inexact
 

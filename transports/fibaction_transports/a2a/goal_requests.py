@@ -54,8 +54,7 @@ from a2a.utils.proto_utils import validate_proto_required_fields
 from fibaction.words.errors import ActionError, GoalRejected, LimitReached, UnknownGoal
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import START, AgentGoal, AgentGoals, Position
-from fibaction_transports._agents.questions import UnshownGoal, question_about
-from fibaction_transports._agents.robot_actions import AgentPolicy
+from fibaction_transports._agents.robot_actions import AgentPolicy, UnshownGoal, question_about
 from fibaction_transports.a2a.agent_card import CardMaker, Skill, Skills
 from fibaction_transports.a2a.documents import asked_request
 from fibaction_transports.a2a.goal_messages import (

@@ -9,20 +9,18 @@ from array import array
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, cast
 
-from fibaction_transports.cdr.array_values import (
-    LISTS,
-    check_count,
-    numbers_of,
-    octets_of,
-    size_of,
-)
 from fibaction_transports.cdr.steps import CdrStep
 from fibaction_transports.cdr.streams import (
+    LISTS,
     NATIVE,
     CdrError,
     CdrReader,
     CdrWriter,
+    check_count,
+    numbers_of,
+    octets_of,
     pack_count,
+    size_of,
     too_short,
 )
 

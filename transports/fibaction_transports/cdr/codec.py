@@ -34,10 +34,9 @@ from typing import Any, Final
 from fibaction.interfaces.definitions import FieldDefinition, FieldType
 from fibaction.interfaces.files import InterfaceMessage
 from fibaction.interfaces.ros_types import attribute
-from fibaction_transports.cdr.array_values import UNFIT
 from fibaction_transports.cdr.arrays import ArraySize, ElementArray, NumberArray, OctetArray
 from fibaction_transports.cdr.steps import CODES, CdrStep, PrimitiveRun, RunItem, Text, WideText
-from fibaction_transports.cdr.streams import LITTLE_ENDIAN, CdrError, CdrReader, CdrWriter
+from fibaction_transports.cdr.streams import LITTLE_ENDIAN, UNFIT, CdrError, CdrReader, CdrWriter
 
 _OCTET = "B"
 _TEXTS: Final = {"string": Text, "wstring": WideText}

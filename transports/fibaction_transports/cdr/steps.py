@@ -10,14 +10,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from fibaction_transports.cdr.array_values import UNFIT, octets_of, unfit
 from fibaction_transports.cdr.streams import (
     LITTLE_ENDIAN,
+    UNFIT,
     CdrError,
     CdrReader,
     CdrWriter,
+    octets_of,
     pack_count,
     too_short,
+    unfit,
 )
 
 CODES: Final = {

@@ -15,8 +15,7 @@ from fibaction.schema.turns import in_turn
 from fibaction.words.errors import ActionError, ConnectionLost, GoalRejected
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
-from fibaction_transports._agents.questions import UnshownGoal, question_about
-from fibaction_transports._agents.robot_actions import AgentPolicy
+from fibaction_transports._agents.robot_actions import AgentPolicy, UnshownGoal, question_about
 from fibaction_transports.mcp.answers import (
     ProgressReports,
     ToolError,

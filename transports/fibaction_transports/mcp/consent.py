@@ -49,7 +49,7 @@ from pydantic import ValidationError
 
 from fibaction.words.goals import GoalID
 from fibaction_transports._agents.agent_goals import AgentGoal
-from fibaction_transports._agents.questions import QUESTION_TIMEOUT, OpenQuestions
+from fibaction_transports._agents.robot_actions import QUESTION_TIMEOUT, OpenQuestions
 from fibaction_transports.mcp.answers import ToolError, error_answer
 from fibaction_transports.mcp.tool_list import client_of
 

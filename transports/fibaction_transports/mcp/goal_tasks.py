@@ -51,8 +51,7 @@ from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 from fibaction.words.errors import ActionError, UnknownGoal
 from fibaction.words.statuses import GoalStatus
 from fibaction_transports._agents.agent_goals import AgentGoal, AgentGoals
-from fibaction_transports._agents.questions import QUESTION_TIMEOUT
-from fibaction_transports._agents.robot_actions import AgentPolicy
+from fibaction_transports._agents.robot_actions import QUESTION_TIMEOUT, AgentPolicy
 from fibaction_transports.mcp.answers import (
     ToolError,
     feedback_text,
