@@ -13,8 +13,8 @@ from fibaction.wire.settings import WireSettings
 from fibaction_transports._agents.agent_http_transport import AgentHttpSettings
 from fibaction_transports._socket_lines.stream_transport import HostSettings
 from fibaction_transports.nats.settings import NatsSettings
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsSettings
-from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohSettings
+from fibaction_transports.ros2.on_dds.node import DdsSettings
+from fibaction_transports.ros2.on_zenoh.node import ZenohSettings
 from fibaction_transports.ros2.ros2_transport import Ros2Settings
 from fibaction_transports.ros2.settings import RosSettings
 from fibaction_transports.web.http_transport import HttpSettings

@@ -37,7 +37,7 @@ from fibaction_transports.ros2.node.feedback_counts import ReceivedCounts
 from fibaction_transports.ros2.on_rclpy import rcl, rclpy_node
 from fibaction_transports.ros2.on_rclpy.ends import RclpyCaller
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
-from fibaction_transports.ros2.on_rclpy.waitable import Responses
+from fibaction_transports.ros2.on_rclpy.spinner import Responses
 from fibaction_transports.ros2.server.action_server import RosActionServer
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import Items, Undecoded, client_of, forever, node_of

@@ -33,9 +33,9 @@ from fibaction_transports.ros2.on_rclpy import ends, rcl
 from fibaction_transports.ros2.on_rclpy.rcl import uuid_of
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
-from fibaction_transports.ros2.on_rclpy.waitable import Requests
+from fibaction_transports.ros2.on_rclpy.spinner import Requests
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.server import action_server, feedback_topic, service_server
+from fibaction_transports.ros2.server import action_server, goal_forwarder, service_server
 from fibaction_transports.ros2.server.action_server import RosActionServer, ServedEndpoint
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.settings import NodeSettings, RosSettings
@@ -101,11 +101,11 @@ async def test_an_answer_that_cannot_reach_its_client_yet_is_sent_again_and_feed
                 return False
         return rcl.has_answered(service, response, header)
 
-    async def keep_pace(topic: feedback_topic.FeedbackTopic) -> None:
+    async def keep_pace(topic: goal_forwarder.FeedbackTopic) -> None:
         happened.append("feedback")
 
     monkeypatch.setattr(ends, "has_answered", has_answered)
-    monkeypatch.setattr(feedback_topic.FeedbackTopic, "_keep_pace", keep_pace)
+    monkeypatch.setattr(goal_forwarder.FeedbackTopic, "_keep_pace", keep_pace)
     with anyio.fail_after(PATIENCE):
         async with (
             serve(ActionServer(FIBONACCI, fibonacci), url),
@@ -382,7 +382,7 @@ async def test_the_statuses_of_an_endpoint_that_comes_back_are_followed_again(
 async def test_a_subscriber_that_never_matches_delays_only_one_goal(
     url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(feedback_topic, "MATCH_TIMEOUT", 0.1)
+    monkeypatch.setattr(goal_forwarder, "MATCH_TIMEOUT", 0.1)
     place = url.partition("=")[2]
     impl = RclpyTypes().find(FIBONACCI.type_name).impl
     async with own_node(NodeSettings(namespace=place)) as ros:

@@ -23,7 +23,7 @@ from fibaction_transports.ros2.client import action_client, followed_goals
 from fibaction_transports.ros2.client.goal_stream import RosGoalStream
 from fibaction_transports.ros2.names import count_topic
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
-from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher
+from fibaction_transports.ros2.server.goal_forwarder import FeedbackPublisher
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.ros2.ends import Undecoded, client_of, new_url
 from tests.ros2.stock.ours import action

@@ -13,14 +13,14 @@ from anyio import current_time
 from fibaction import ConnectionLost, TransportError
 from fibaction_transports.ros2.client import endpoint
 from fibaction_transports.ros2.client.endpoint import GraphLooks
-from fibaction_transports.ros2.node import graph_view
-from fibaction_transports.ros2.node.graph_view import (
+from fibaction_transports.ros2.node import parts
+from fibaction_transports.ros2.node.parts import (
     DiscoveryState,
+    EndInfo,
     GraphView,
     JoinedViews,
     no_scout,
 )
-from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.node.ros_node import NodeLife, RosNode
 from fibaction_transports.ros2.qos import EndQos
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
@@ -179,7 +179,7 @@ def test_two_views_of_a_graph_know_what_either_of_them_knows() -> None:
     assert joined.discovery().pending == 7
 
 
-def scouting(graph: Graph) -> graph_view.ScoutOpener:
+def scouting(graph: Graph) -> parts.ScoutOpener:
     @asynccontextmanager
     async def opened(domain: int) -> AsyncGenerator[GraphView, None]:
         yield graph
@@ -188,18 +188,18 @@ def scouting(graph: Graph) -> graph_view.ScoutOpener:
 
 
 async def test_a_scout_counts_only_if_it_sees_the_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_view, "SCOUT_PATIENCE", 0.05)
+    monkeypatch.setattr(parts, "SCOUT_PATIENCE", 0.05)
     own, scout = Graph(), Graph()
     scout.names = {"/other"}
-    async with graph_view.scouted_view(own, "/own", 7, scouting(scout)) as view:
+    async with parts.scouted_view(own, "/own", 7, scouting(scout)) as view:
         assert view is own
-    async with graph_view.scouted_view(own, "/other", 7, scouting(scout)) as view:
+    async with parts.scouted_view(own, "/other", 7, scouting(scout)) as view:
         assert view.nodes() == {"/other"}
 
 
 async def test_without_a_scout_a_node_looks_by_itself() -> None:
     own = Graph()
-    async with graph_view.scouted_view(own, "/own", 7, no_scout) as view:
+    async with parts.scouted_view(own, "/own", 7, no_scout) as view:
         assert view is own
     with pytest.raises(TransportError, match="nothing looks at the domain 7"):
         no_scout(7)

@@ -20,8 +20,7 @@ from fibaction_transports.cdr.standard_messages import action_interface
 from fibaction_transports.cdr.type_hashes import type_hash
 from fibaction_transports.ros2 import DdsTransport, Ros2Transport
 from fibaction_transports.ros2.convert.fields import SINGLES, array_kind, text_kind
-from fibaction_transports.ros2.convert.interface_texts import interface_texts
-from fibaction_transports.ros2.convert.message_types import MessageKind
+from fibaction_transports.ros2.convert.message_types import MessageKind, interface_texts
 from fibaction_transports.ros2.on_rclpy import rclpy_types
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
 from tests.ros2.stock.ours import TYPE

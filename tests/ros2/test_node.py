@@ -30,8 +30,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node, users_node
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
-from fibaction_transports.ros2.on_rclpy.spinner import Spinner
-from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable
+from fibaction_transports.ros2.on_rclpy.spinner import RosWaitable, Spinner
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio

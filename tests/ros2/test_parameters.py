@@ -13,8 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from fibaction import ActionServer, TransportError, connect, serve
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsNode, DdsSettings
 from fibaction_transports.ros2.on_rclpy.rclpy_adapter import own_node
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.ends import new_url

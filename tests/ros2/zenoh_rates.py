@@ -19,8 +19,7 @@ from time import perf_counter
 import anyio
 
 from fibaction import ActionClient, connect, serve
-from fibaction_transports.ros2.on_zenoh.node import ZenohNode
-from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
+from fibaction_transports.ros2.on_zenoh.node import ZenohAdapter, ZenohNode, ZenohSettings
 from fibaction_transports.ros2.settings import NodeSettings
 from tests.ros2.stock.ours import Behaviour, action
 from tests.ros2.stock.process import peer

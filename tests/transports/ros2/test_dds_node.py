@@ -19,13 +19,10 @@ from fibaction_transports.cdr.standard_messages import (
 )
 from fibaction_transports.ros2.node.parts import EndInfo, LifeSigns
 from fibaction_transports.ros2.on_dds import graph, topics
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.node import DdsNode, _Inbox
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsNode, DdsSettings, _Inbox
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.descriptions.described_types import (
-    UnusableDescription,
-)
+from fibaction_transports.ros2.without_ros.descriptions.described_types import UnusableDescription
 from fibaction_transports.ros2.without_ros.messages import node_messages as messages
 from fibaction_transports.ros2.without_ros.messages.action_types import standard_type
 from fibaction_transports.ros2.without_ros.messages.node_messages import (

@@ -24,10 +24,10 @@ from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     described_action,
     described_message,
 )
-from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.without_ros.messages.action_types import CANCEL_GOAL, action_of
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import TypeHashes, read_hashes
+from fibaction_transports.ros2.without_ros.own_node import TypeRegistry
 
 ALL = "near_msgs/action/All"
 TEXTS = {

@@ -36,7 +36,6 @@ from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     DescriptionRequest,
     DescriptionResponse,
 )
-from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
 from fibaction_transports.ros2.without_ros.messages import file_types
 from fibaction_transports.ros2.without_ros.messages.file_types import (
     FileTypes,
@@ -44,6 +43,7 @@ from fibaction_transports.ros2.without_ros.messages.file_types import (
     ServerVersion,
 )
 from fibaction_transports.ros2.without_ros.messages.message_type import TypeHashes, read_hashes
+from fibaction_transports.ros2.without_ros.own_node import TypeRegistry
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

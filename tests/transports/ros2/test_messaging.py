@@ -31,13 +31,11 @@ from fibaction.interfaces.source import types_source
 from fibaction.interfaces.structs import structs_of
 from fibaction_transports.ros2 import Node, Service, Subscription, open_node
 from fibaction_transports.ros2.messaging import node as messaging_node
-from fibaction_transports.ros2.messaging import publisher as messaging_publisher
-from fibaction_transports.ros2.messaging import services, subscription, transforms
+from fibaction_transports.ros2.messaging import services, topics, transforms
 from fibaction_transports.ros2.messaging.node import topic_values
 from fibaction_transports.ros2.node.own_parameters import written
 from fibaction_transports.ros2.node.ros_node import RosClock, TypeVersion
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
-from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsNode, DdsSettings
 from fibaction_transports.ros2.on_dds.services import DdsCaller
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
@@ -114,7 +112,7 @@ async def test_a_loop_that_works_between_its_messages_lets_others_have_their_tur
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, turns = 0.0, 0
-    monkeypatch.setattr(messaging_publisher, "perf_counter", lambda: now)
+    monkeypatch.setattr(topics, "perf_counter", lambda: now)
 
     async def other() -> None:
         nonlocal turns
@@ -272,7 +270,7 @@ async def test_a_publisher_that_keeps_all_waits_for_a_slow_reader_and_for_no_one
 async def test_a_reader_that_keeps_all_is_bounded_beside_a_publisher_that_does_not_wait(
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subscription, "LATE", 5)
+    monkeypatch.setattr(topics, "LATE", 5)
     async with two_nodes(scheme) as (robot, _):
         slow = robot.subscribe("chatter", STRING, qos="keep_all", depth=4)
         publisher = robot.publisher("chatter", STRING)
@@ -389,7 +387,7 @@ async def test_a_closed_end_is_gone_from_the_graph_and_says_so(scheme: str) -> N
 async def test_calls_for_one_message_share_a_subscription_which_is_closed_after_a_while(
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subscription, "KEPT_OPEN", 0.3)
+    monkeypatch.setattr(topics, "KEPT_OPEN", 0.3)
     text_type = structs_of([read_message(STRING, SearchPath((), ()))])["String"]
     async with two_nodes(scheme) as (robot, planner):
         odom, chart = robot.publisher("odom", STRING), robot.publisher("chart", STRING)
@@ -422,7 +420,7 @@ async def test_calls_for_one_message_share_a_subscription_which_is_closed_after_
 async def test_the_shared_subscription_that_was_used_first_gives_way(
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subscription, "MOST_SHARED", 2)
+    monkeypatch.setattr(topics, "MOST_SHARED", 2)
     async with two_nodes(scheme) as (_, planner), anyio.create_task_group() as tasks:
         tasks.start_soon(planner.next, "awaited", STRING)
         await anyio.wait_all_tasks_blocked()
@@ -465,7 +463,7 @@ async def test_a_late_reader_gets_what_is_latched(scheme: str) -> None:
 async def test_what_keeps_messages_away_is_told(
     scheme: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(subscription, "SILENCE", 0.01)
+    monkeypatch.setattr(topics, "SILENCE", 0.01)
     async with two_nodes(scheme) as (robot, planner):
         with pytest.raises(TimeoutError, match=r"/nothing in 0.05 s: no node publishes it"):
             await planner.next("nothing", STRING, timeout=0.05)
@@ -647,7 +645,7 @@ async def test_a_call_for_one_message_may_end_after_its_node_was_closed(
         await closed.wait()
         raise ConnectionLost("the node was closed here")
 
-    monkeypatch.setattr(subscription.Subscription, "upcoming", upcoming)
+    monkeypatch.setattr(topics.Subscription, "upcoming", upcoming)
     async with anyio.create_task_group() as tasks:
         async with two_nodes(scheme) as (_, planner):
 

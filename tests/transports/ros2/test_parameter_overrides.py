@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from fibaction import TransportError
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsSettings
 from fibaction_transports.ros2.settings import NodeSettings
 from fibaction_transports.ros2.without_ros.ros_arguments import (
     overrides_of,

@@ -25,19 +25,16 @@ from fibaction import (
     serve,
 )
 from fibaction_transports.ros2.node import mailbox
-from fibaction_transports.ros2.on_zenoh import services, session
+from fibaction_transports.ros2.on_zenoh import ends, session
+from fibaction_transports.ros2.on_zenoh.ends import QueryHeader, ZenohProvider
 from fibaction_transports.ros2.on_zenoh.keys import SERVER, attachment, hash_of, key_of
-from fibaction_transports.ros2.on_zenoh.node import ZenohNode
-from fibaction_transports.ros2.on_zenoh.services import QueryHeader, ZenohProvider
-from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
+from fibaction_transports.ros2.on_zenoh.node import ZenohAdapter, ZenohNode, ZenohSettings
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.descriptions.described_types import (
-    DescriptionResponse,
-)
-from fibaction_transports.ros2.without_ros.descriptions.type_registry import TypeRegistry
+from fibaction_transports.ros2.without_ros.descriptions.described_types import DescriptionResponse
 from fibaction_transports.ros2.without_ros.messages.action_types import CANCEL_GOAL
 from fibaction_transports.ros2.without_ros.messages.node_messages import PARAMETER, Parameter
+from fibaction_transports.ros2.without_ros.own_node import TypeRegistry
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 from tests.support.fibonacci import FIBONACCI, Goal, Result, fibonacci
 from tests.support.processes import PATIENCE
@@ -223,7 +220,7 @@ async def test_a_request_that_a_server_throws_away_is_sent_again() -> None:
 
 async def test_a_server_that_forgets_a_request_is_nudged(monkeypatch: pytest.MonkeyPatch) -> None:
     """As released servers of rclpy do until anything else wakes them."""
-    monkeypatch.setattr(services, "NUDGES", 2)
+    monkeypatch.setattr(ends, "NUDGES", 2)
     async with opened("forgetful") as server, opened() as client:
         service = f"{server.namespace}/cancel"
         waiting: list[QueryHeader] = []
@@ -297,7 +294,7 @@ async def test_the_first_of_several_answers_counts_and_an_error_is_no_answer(
 async def test_the_oldest_of_too_many_open_requests_is_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(services, "OPEN_REQUESTS", 1)
+    monkeypatch.setattr(ends, "OPEN_REQUESTS", 1)
     async with opened() as node:
         service = f"{node.namespace}/cancel"
         waiting: list[QueryHeader] = []

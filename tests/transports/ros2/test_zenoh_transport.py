@@ -30,7 +30,7 @@ from fibaction.border.urls import transport_for
 from fibaction_transports.ros2 import ZenohTransport
 from fibaction_transports.ros2.client import action_client
 from fibaction_transports.ros2.client.presence import Presence
-from fibaction_transports.ros2.on_zenoh import node, session, zenoh_adapter
+from fibaction_transports.ros2.on_zenoh import node, session
 from fibaction_transports.ros2.on_zenoh.config import ATTEMPTS, FILE, OVERRIDE
 from fibaction_transports.ros2.on_zenoh.node import NO_ROUTER, ZenohNode, open_node
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession
@@ -134,7 +134,7 @@ async def test_a_server_that_has_gone_ends_its_goals_as_soon_as_its_tokens_go(
 
     with anyio.fail_after(PATIENCE):
         with monkeypatch.context() as patch:
-            patch.setattr(zenoh_adapter, "open_node", open_noted)
+            patch.setattr(node, "open_node", open_noted)
             serving = serve(ActionServer(FIBONACCI, execute), apart(new_url()))
             (url,) = await serving.__aenter__()
         try:

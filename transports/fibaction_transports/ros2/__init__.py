@@ -9,9 +9,8 @@ if TYPE_CHECKING:
     from fibaction_transports.ros2.dds_transport import DdsTransport
     from fibaction_transports.ros2.messaging.node import Node, open_node, topic_values
     from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
-    from fibaction_transports.ros2.messaging.publisher import Publisher
     from fibaction_transports.ros2.messaging.services import Service
-    from fibaction_transports.ros2.messaging.subscription import Subscription
+    from fibaction_transports.ros2.messaging.topics import Publisher, Subscription
     from fibaction_transports.ros2.messaging.transforms import Transform
     from fibaction_transports.ros2.qos import EndQos
     from fibaction_transports.ros2.ros2_transport import Ros2Transport
@@ -38,10 +37,10 @@ _MODULES = {
     "EndQos": "qos",
     "Node": "messaging.node",
     "OwnParameters": "messaging.parameters",
-    "Publisher": "messaging.publisher",
+    "Publisher": "messaging.topics",
     "RemoteParameters": "messaging.parameters",
     "Service": "messaging.services",
-    "Subscription": "messaging.subscription",
+    "Subscription": "messaging.topics",
     "Transform": "messaging.transforms",
     "open_node": "messaging.node",
     "topic_values": "messaging.node",

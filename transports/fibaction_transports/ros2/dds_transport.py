@@ -8,7 +8,7 @@ from fibaction.border.abc import Diagnosis
 from fibaction.border.settings import TransportSettings
 from fibaction_transports.ros2.messaging.node import NodeTransport
 from fibaction_transports.ros2.node.middlewares import middlewares_at
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter, DdsSettings
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsSettings
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import DdsKeywords

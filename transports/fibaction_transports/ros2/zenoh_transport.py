@@ -11,7 +11,7 @@ from fibaction_transports.ros2.messaging.node import NodeTransport
 from fibaction_transports.ros2.node.middlewares import ROUTER_PORT
 
 with NeedsExtra("zenoh://", "fibaction[zenoh]"):
-    from fibaction_transports.ros2.on_zenoh.zenoh_adapter import ZenohAdapter, ZenohSettings
+    from fibaction_transports.ros2.on_zenoh.node import ZenohAdapter, ZenohSettings
 
 if TYPE_CHECKING:
     from fibaction_transports.keywords import ZenohKeywords

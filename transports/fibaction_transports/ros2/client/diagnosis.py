@@ -15,9 +15,8 @@ import anyio
 from fibaction.border.abc import Diagnosis
 from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.names import ActionNames, action_names
-from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.middlewares import Middlewares
-from fibaction_transports.ros2.node.parts import NO_HASH, EndInfo
+from fibaction_transports.ros2.node.parts import FEEDBACK, NO_HASH, EndInfo
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import RosSettings

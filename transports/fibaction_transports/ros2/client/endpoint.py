@@ -38,8 +38,7 @@ from fibaction_transports.ros2.client.diagnosis import explain_versions
 from fibaction_transports.ros2.client.goal_stream import GoalDecoder, RosGoalStream
 from fibaction_transports.ros2.convert.conversion import RosAction, RosCodecs, goal_id_of, stamp_of
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.graph_view import FEEDBACK, GraphView
-from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.parts import FEEDBACK, EndInfo, GraphView
 from fibaction_transports.ros2.node.ros_node import EndpointInRos, RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import FIRST_STAMP, LAST_STAMP
 from fibaction_transports.ros2.settings import RosSettings

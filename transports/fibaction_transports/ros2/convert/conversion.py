@@ -20,8 +20,11 @@ from fibaction.types.schemas import schema_of
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction.words.goals import GoalID
 from fibaction_transports.ros2.convert.fields import Unfit
-from fibaction_transports.ros2.convert.interface_texts import interface_texts
-from fibaction_transports.ros2.convert.message_types import MessageKind, MessagePart
+from fibaction_transports.ros2.convert.message_types import (
+    MessageKind,
+    MessagePart,
+    interface_texts,
+)
 from fibaction_transports.ros2.convert.schemas import UserSchema
 
 _PARTS = ("goal", "feedback", "result")

@@ -19,7 +19,6 @@ from fibaction_transports.ros2 import qos
 from fibaction_transports.ros2.client.endpoint import GraphLooks
 from fibaction_transports.ros2.messaging.forms import MessageForm, type_name_of
 from fibaction_transports.ros2.messaging.parameters import OwnParameters, RemoteParameters
-from fibaction_transports.ros2.messaging.publisher import Publisher
 from fibaction_transports.ros2.messaging.services import (
     CalledService,
     RequestT,
@@ -28,13 +27,17 @@ from fibaction_transports.ros2.messaging.services import (
     ServiceFunction,
     forms_of,
 )
-from fibaction_transports.ros2.messaging.shared import PartsOfBlock
-from fibaction_transports.ros2.messaging.subscription import NewestMessages, Subscription, Wanted
+from fibaction_transports.ros2.messaging.topics import (
+    NewestMessages,
+    Publisher,
+    Subscription,
+    Wanted,
+)
 from fibaction_transports.ros2.messaging.transforms import Transform, TransformReader
-from fibaction_transports.ros2.node.graph_view import GraphView
+from fibaction_transports.ros2.node.parts import GraphView
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.qos import EndQos, suiting
-from fibaction_transports.ros2.ros_transport import RosTransport
+from fibaction_transports.ros2.ros_transport import PartsOfBlock, RosTransport
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import RosSettings
 

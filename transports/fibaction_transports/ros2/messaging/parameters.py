@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator, Callable, Mapping
 from typing import Any, Final, Protocol, TypeVar
 
 from fibaction.border.abc import Notifier
-from fibaction_transports.ros2.messaging.subscription import Subscription
+from fibaction_transports.ros2.messaging.topics import Subscription
 from fibaction_transports.ros2.node.own_parameters import (
     DeclaredParameter,
     ParameterValue,

@@ -16,12 +16,12 @@ from fibaction.border.abc import Endpoint
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2.convert.conversion import RosAction
 from fibaction_transports.ros2.convert.message_types import MessageKind
-from fibaction_transports.ros2.node.graph_view import GraphView
 from fibaction_transports.ros2.node.own_parameters import ParameterStore
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
     EndInfo,
     ErrorSink,
+    GraphView,
     LifeWatch,
     MessageSink,
     NodePart,

@@ -16,10 +16,9 @@ from fibaction_transports.ros2.client.diagnosis import (
     served_actions,
 )
 from fibaction_transports.ros2.names import action_names
-from fibaction_transports.ros2.node.graph_view import FEEDBACK
 from fibaction_transports.ros2.node.middlewares import Middlewares
-from fibaction_transports.ros2.on_dds.dds_adapter import DdsAdapter
-from fibaction_transports.ros2.on_dds.node import DdsNode
+from fibaction_transports.ros2.node.parts import FEEDBACK
+from fibaction_transports.ros2.on_dds.node import DdsAdapter, DdsNode
 from fibaction_transports.ros2.on_dds.topics import topic_name
 from fibaction_transports.ros2.settings import RosSettings
 from fibaction_transports.ros2.without_ros.messages.message_type import read_hashes, ros_type

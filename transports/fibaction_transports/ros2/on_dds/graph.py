@@ -20,8 +20,7 @@ from fibaction_transports.cdr.standard_messages import (
     NodeEntitiesInfo,
     ParticipantEntitiesInfo,
 )
-from fibaction_transports.ros2.node.graph_view import DiscoveryState
-from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.parts import DiscoveryState, EndInfo
 from fibaction_transports.ros2.node.ros_node import RosGraph
 from fibaction_transports.ros2.on_dds.topics import (
     GRAPH_TOPIC,

@@ -15,7 +15,7 @@ import anyio
 from fibaction.border.event_loop import Background
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
-from fibaction_transports.ros2.node.graph_view import ScoutOpener, no_scout
+from fibaction_transports.ros2.node.parts import ScoutOpener, no_scout
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.on_rclpy.rcl import (
     Context,
@@ -27,8 +27,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_node import RclpyNode
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
-from fibaction_transports.ros2.on_rclpy.spinner import Spinner
-from fibaction_transports.ros2.on_rclpy.waitable import Source
+from fibaction_transports.ros2.on_rclpy.spinner import Source, Spinner
 from fibaction_transports.ros2.settings import NodeSettings, domain_in
 
 UNSPUN = 2.0

@@ -13,24 +13,22 @@ from typing import Any, cast
 
 from fibaction.border.peer_text import MESSAGE, clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost, TransportError
-from fibaction_transports.ros2.node.graph_view import (
-    DiscoveryState,
-    GraphView,
-    ScoutOpener,
-    no_scout,
-    scouted_view,
-)
 from fibaction_transports.ros2.node.mailbox import Mailbox, Sink
 from fibaction_transports.ros2.node.parts import (
     AnswerSink,
+    DiscoveryState,
     EndInfo,
     ErrorSink,
+    GraphView,
     MessageSink,
     NodePart,
     RequestSink,
+    ScoutOpener,
     ServiceCaller,
     ServiceProvider,
     UnansweredSink,
+    no_scout,
+    scouted_view,
 )
 from fibaction_transports.ros2.node.ros_node import RosClock, RosNode
 from fibaction_transports.ros2.on_rclpy.ends import (
@@ -57,7 +55,7 @@ from fibaction_transports.ros2.on_rclpy.rcl import (
 )
 from fibaction_transports.ros2.on_rclpy.rclpy_parameters import RclpyParameters
 from fibaction_transports.ros2.on_rclpy.rclpy_types import RclpyTypes
-from fibaction_transports.ros2.on_rclpy.waitable import (
+from fibaction_transports.ros2.on_rclpy.spinner import (
     Messages,
     Requests,
     Responses,

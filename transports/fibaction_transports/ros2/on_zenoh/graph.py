@@ -7,8 +7,7 @@ from typing import Final
 
 from fibaction.border.abc import Notifier
 from fibaction.border.peer_text import clean_logger
-from fibaction_transports.ros2.node.graph_view import DiscoveryState
-from fibaction_transports.ros2.node.parts import NO_HASH, EndInfo
+from fibaction_transports.ros2.node.parts import NO_HASH, DiscoveryState, EndInfo
 from fibaction_transports.ros2.node.ros_node import RosGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     ANY_HASH,

@@ -1,10 +1,11 @@
-"""A node of ROS over Zenoh, without ROS: a session, and the ends of its topics and services."""
+"""A node of ROS over Zenoh, without ROS: its settings, its session, and its topics and services."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
-from typing import Final, TypeVar
+from typing import ClassVar, Final, Literal, TypeVar
 
 import anyio
 import zenoh
@@ -24,8 +25,16 @@ from fibaction_transports.ros2.node.parts import (
     RequestSink,
     UnansweredSink,
 )
-from fibaction_transports.ros2.node.ros_node import Links, RosNode
+from fibaction_transports.ros2.node.ros_node import Links, RosAdapter, RosNode
 from fibaction_transports.ros2.on_zenoh.config import Configuration
+from fibaction_transports.ros2.on_zenoh.ends import (
+    NoLifeWatch,
+    ZenohCaller,
+    ZenohProvider,
+    ZenohPublisher,
+    ZenohSubscription,
+    ignore_reply,
+)
 from fibaction_transports.ros2.on_zenoh.graph import ZenohGraph
 from fibaction_transports.ros2.on_zenoh.keys import (
     CLIENT,
@@ -38,14 +47,9 @@ from fibaction_transports.ros2.on_zenoh.keys import (
     hash_of,
     key_of,
 )
-from fibaction_transports.ros2.on_zenoh.services import ZenohCaller, ZenohProvider, ignore_reply
 from fibaction_transports.ros2.on_zenoh.session import ZenohSession, open_session
-from fibaction_transports.ros2.on_zenoh.topics import (
-    NoLifeWatch,
-    ZenohPublisher,
-    ZenohSubscription,
-)
 from fibaction_transports.ros2.qos import EndQos
+from fibaction_transports.ros2.settings import NodeSettings, OwnNodeSettings, domain_in
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (
     DescriptionRequest,
     IndividualTypeDescription,
@@ -57,7 +61,7 @@ from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
 )
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes
 from fibaction_transports.ros2.without_ros.messages.message_type import MessageType, ServiceType
-from fibaction_transports.ros2.without_ros.own_node import NodeStart, OwnNode
+from fibaction_transports.ros2.without_ros.own_node import NodeStart, OwnNode, node_start
 
 _PARTS = ("_SendGoal", "_GetResult", "_FeedbackMessage")
 
@@ -336,3 +340,60 @@ async def open_node(
         else:
             await node.find_router(attempts)
         yield node
+
+
+class ZenohSettings(OwnNodeSettings, frozen=True, kw_only=True):
+    """The settings of a `ZenohTransport`."""
+
+    scheme = "zenoh"
+    shared: ClassVar[tuple[str, ...]] = (*OwnNodeSettings.shared, "locators", "type_hashes")
+
+    locators: Sequence[str] = ()
+    """The routers or peers to connect to, for example `tcp/robot.local:7447`. Without them, those
+    of the configuration of ROS, or `tcp/localhost:7447`."""
+    mode: Literal["", "peer", "client"] = ""
+    """`peer` connects to the nodes that it learns of from a router, and continues when the router
+    stops; `client` speaks through the router only, and needs less memory. Without it, that of the
+    configuration of ROS, or `peer`."""
+    config: str = ""
+    """Values of Zenoh's own configuration, which count before all others, as `key=json5;key=json5`:
+    for example `transport/auth/usrpwd/user="me";transport/auth/usrpwd/password="secret"`."""
+
+    type_hashes: bool = True
+    """False for the nodes of ROS 2 Humble, which do not tell the versions of types."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: A number is out of range, or a word is not one of those that are valid.
+        """
+        super().__post_init__()
+        if self.mode not in ("", "peer", "client"):
+            raise ValueError(f"mode is peer or client, not {self.mode!r}")
+
+
+class ZenohAdapter(RosAdapter):
+    """The way to a graph of ROS over Zenoh."""
+
+    def __init__(self, node: NodeSettings, settings: ZenohSettings) -> None:
+        self.types = self._types = FileTypes(settings.search)
+        self._node = node
+        self._settings = settings
+
+    @asynccontextmanager
+    async def open(self) -> AsyncGenerator[ZenohNode, None]:
+        """See `RosAdapter.open`."""
+        start, settings = node_start(self._node), self._settings
+        configuration = Configuration(
+            mode=settings.mode,
+            locators=settings.locators,
+            environ=os.environ,
+            lease=settings.lease,
+            values=settings.config,
+        )
+        given = self._node.domain_id
+        domain = domain_in(os.environ) if given is None else given
+        hashes = settings.type_hashes
+        async with open_node(configuration, domain, start, self._types, hashes) as node:
+            yield node

@@ -59,8 +59,11 @@ from fibaction_transports.ros2.node.feedback_counts import PublishedCounts
 from fibaction_transports.ros2.node.rivals import warn_of_rivals
 from fibaction_transports.ros2.node.ros_node import EndpointInRos, RosNode, RosTypes
 from fibaction_transports.ros2.node.stamps import ServedStamps
-from fibaction_transports.ros2.server.feedback_topic import FeedbackPublisher, FeedbackTopic
-from fibaction_transports.ros2.server.goal_forwarder import GoalForwarder
+from fibaction_transports.ros2.server.goal_forwarder import (
+    FeedbackPublisher,
+    FeedbackTopic,
+    GoalForwarder,
+)
 from fibaction_transports.ros2.server.served_statuses import ServedStatuses
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import RosSettings

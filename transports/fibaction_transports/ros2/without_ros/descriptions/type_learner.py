@@ -33,8 +33,7 @@ from anyio import current_time
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.words.errors import ConnectionLost
 from fibaction_transports.ros2 import qos
-from fibaction_transports.ros2.node.graph_view import FEEDBACK
-from fibaction_transports.ros2.node.parts import EndInfo
+from fibaction_transports.ros2.node.parts import FEEDBACK, EndInfo
 from fibaction_transports.ros2.node.rivals import PARTICIPANT
 from fibaction_transports.ros2.node.ros_node import RosNode
 from fibaction_transports.ros2.without_ros.descriptions.described_types import (

@@ -12,7 +12,7 @@ import pytest
 from fibaction.border.event_loop import Background
 from fibaction_transports.ros2.node.mailbox import MAILBOX, TURN, Mailbox
 from fibaction_transports.ros2.on_rclpy.rcl import InvalidHandle
-from fibaction_transports.ros2.on_rclpy.waitable import RosWaitable, Source
+from fibaction_transports.ros2.on_rclpy.spinner import RosWaitable, Source
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
 pytestmark = pytest.mark.anyio

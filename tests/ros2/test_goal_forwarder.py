@@ -11,8 +11,8 @@ import pytest
 from fibaction import GoalID
 from fibaction_transports.ros2.node.parts import EndInfo
 from fibaction_transports.ros2.qos import EndQos
-from fibaction_transports.ros2.server import feedback_topic
-from fibaction_transports.ros2.server.feedback_topic import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
+from fibaction_transports.ros2.server import goal_forwarder
+from fibaction_transports.ros2.server.goal_forwarder import FIRST_PACE, LOOK_PAUSE, FeedbackTopic
 from fibaction_transports.ros2.settings import RosSettings
 from tests.contract.conftest import anyio_backend  # noqa: F401  # asyncio and trio
 
@@ -85,7 +85,7 @@ class Time:
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     time = Time()
-    monkeypatch.setattr(feedback_topic, "current_time", lambda: time.now)
+    monkeypatch.setattr(goal_forwarder, "current_time", lambda: time.now)
     monkeypatch.setattr(anyio, "sleep_until", time.sleep_until)
     return time
 
