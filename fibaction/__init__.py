@@ -12,7 +12,7 @@ of the server.
 
 from typing import TYPE_CHECKING
 
-from fibaction._runtime.release import RELEASE
+from fibaction._runtime import RELEASE
 
 if TYPE_CHECKING:
     from fibaction._api import ClientConnection, Connecting, Serving, call, connect, serve
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
         TransportError,
         UnknownGoal,
     )
-    from fibaction.words.goal_history import GoalHistory
+    from fibaction.words.goal_query import GoalHistory
     from fibaction.words.goals import (
         ActionPeers,
         CancelAnswer,
@@ -72,8 +72,7 @@ if TYPE_CHECKING:
         Sender,
         WorkerInfo,
     )
-    from fibaction.words.progress import Progress
-    from fibaction.words.returned import Return
+    from fibaction.words.progress import Progress, Return
     from fibaction.words.statuses import GoalEvent, GoalStatus
 else:
     from importlib import import_module
@@ -99,10 +98,9 @@ else:
         "client.retry": "Retry",
         "client.track": "track",
         "server": ("ActionServer Executor FunctionAction GoalHandle Report Schedule action"),
-        "words.progress": "Progress",
-        "words.returned": "Return",
+        "words.progress": "Progress Return",
         "words.statuses": "GoalEvent GoalStatus",
-        "words.goal_history": "GoalHistory",
+        "words.goal_query": "GoalHistory",
         "stores.sqlite_store": "SqliteStore",
         "border.watchers": "Watcher",
         "wire.auth": "Peer Permission",

@@ -21,16 +21,15 @@ if TYPE_CHECKING:
         newest_active_first,
     )
     from fibaction.observe.otel import Tracing
-    from fibaction.observe.recordings.mcap_export import export_mcap
-    from fibaction.observe.recordings.recorder import Recorder
+    from fibaction.observe.recordings.recorder import Recorder, record_from
     from fibaction.observe.recordings.recording_file import (
         Event,
         Record,
         RecordingError,
+        export_mcap,
         payload_of,
         read_records,
     )
-    from fibaction.observe.recordings.remote_recorder import record_from
     from fibaction.observe.recordings.replay import replayed
 else:
     from importlib import import_module
@@ -45,10 +44,10 @@ else:
             " newest_active_first"
         ),
         "otel": "Tracing",
-        "recordings.mcap_export": "export_mcap",
-        "recordings.recorder": "Recorder",
-        "recordings.recording_file": "Event Record RecordingError payload_of read_records",
-        "recordings.remote_recorder": "record_from",
+        "recordings.recorder": "Recorder record_from",
+        "recordings.recording_file": (
+            "Event Record RecordingError export_mcap payload_of read_records"
+        ),
         "recordings.replay": "replayed",
     }
     _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}

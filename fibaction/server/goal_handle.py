@@ -11,7 +11,7 @@ from fibaction.words.statuses import GoalStatus
 
 if TYPE_CHECKING:
     from fibaction.server.durability.keeper import Keeper
-    from fibaction.server.execution.running_goal import RunningGoal
+    from fibaction.server.functions.report import RunningGoal
     from fibaction.server.registry.goal_record import GoalRecord
     from fibaction.words.goals import GoalID, Sender
 

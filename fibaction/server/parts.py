@@ -37,8 +37,8 @@ from fibaction.server.cancels import Cancels
 from fibaction.server.durability.keeper import STORE_IS_LATE, Keeper, KeeperEvents
 from fibaction.server.durability.recovery import Recovery
 from fibaction.server.durability.stored_goals import PastGoals
-from fibaction.server.execution.abandoned import warn_of_kill
 from fibaction.server.execution.executor import Runner
+from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.execution.runs import Runs
 from fibaction.server.execution.watchdog import Watch
 from fibaction.server.goal_logs import GoalLogs

@@ -43,8 +43,7 @@ from fibaction.stores._journal_file import JournalFile
 from fibaction.stores._wal import PAGE
 from fibaction.stores._writer import Batch, SqliteJournal, Writer
 from fibaction.stores.journal_rows import DamagedRow, EndRecord, WholeRecord, decode_row, encode_row
-from fibaction.words.goal_history import GoalHistory
-from fibaction.words.goal_query import MOST_PAST, GoalQuery, PastPage, Place
+from fibaction.words.goal_query import MOST_PAST, GoalHistory, GoalQuery, PastPage, Place
 from fibaction.words.goals import GoalID, GoalInfo
 
 TABLE = """

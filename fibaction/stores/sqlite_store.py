@@ -14,7 +14,7 @@ from fibaction._runtime.text import excerpt
 from fibaction.border.event_loop import Slices
 from fibaction.border.goal_store import GoalJournal, GoalStore, StoredGoal, no_obstacle
 from fibaction.words.errors import StoreError
-from fibaction.words.goal_history import GoalHistory, check_is_history
+from fibaction.words.goal_query import GoalHistory, check_is_history
 from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`Progress`: feedback that tells how far a goal has come, and the rule for other feedback.
+"""The values that an executor yields: `Progress`, and the rule for other feedback, and `Return`.
 
 Sans-I/O. The command line, `top`, MCP and `track` ask a `ProgressMeter`; the console has the same
 rule in `schema.js`.
@@ -7,7 +7,7 @@ rule in `schema.js`.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -111,3 +111,30 @@ def _values_of(feedback: object) -> dict[Any, Any] | None:
         if names := getattr(type(feedback), attribute, None):
             return {name: getattr(feedback, name) for name in names}
     return None
+
+
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Return(Generic[T_co]):
+    """The result of a goal, as an async generator yields it, whatever the type of its feedback.
+
+    Python has no `return` with a value in an async generator: it is a SyntaxError. A generator
+    yields its result last. If feedback and result have one type, it marks the result:
+
+        async def count(goal: GoalHandle[int]) -> AsyncIterator[int | Return[int]]:
+            for number in range(goal.request):
+                yield number
+            yield Return(goal.request)
+
+    Clients get the value alone.
+    """
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: T_co) -> None:
+        self.value = value
+        """The result."""
+
+    def __repr__(self) -> str:
+        return f"Return({self.value!r})"

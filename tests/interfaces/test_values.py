@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies
 
 from fibaction.interfaces.definitions import FieldType, InterfaceError, SourceLine
-from fibaction.interfaces.values import read_single, read_value
+from fibaction.interfaces.parser import read_single, read_value
 
 LINE = SourceLine(Path("Lift.action"), 3, "")
 

@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from fibaction import Action
 from fibaction.types.action import ActionInfo
-from fibaction.types.arrays import LARGE_ARRAY
+from fibaction.types.ros_messages import LARGE_ARRAY
 from fibaction.words.errors import ProtocolError, TransportError
 from fibaction_transports.ros2 import message_structs
 from fibaction_transports.ros2.convert.conversion import RosCodec, RosCodecs

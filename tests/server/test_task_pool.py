@@ -16,7 +16,7 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from fibaction.server.execution.abandoned import MOST_KILLS
+from fibaction.server.execution.executor_ends import MOST_KILLS
 from fibaction.server.execution.interruption import CancelOnce, ScopesPhase, Stepper
 from fibaction.server.execution.task_pool import GRACE, MOST_IDLE, TaskPool
 from fibaction.server.execution.turns import EXECUTOR_SLICE, Turns

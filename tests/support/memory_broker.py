@@ -21,7 +21,7 @@ from anyio import current_time, move_on_after
 
 from fibaction._runtime.notify import Notifier
 from fibaction.border.event_loop import Background
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction_transports.nats.broker.broker import (
     NO_RESPONDERS,
     Broker,

@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from fibaction.types import arrays
-from fibaction.types.arrays import LARGE_ARRAY, pack, plain_array, unpack
+from fibaction.types import ros_messages
+from fibaction.types.ros_messages import LARGE_ARRAY, pack, plain_array, unpack
 
 numpy: Any = import_module("numpy")
 
@@ -100,7 +100,7 @@ def test_more_dimensions_are_lists_of_lists_and_none_is_a_number() -> None:
 def test_without_numpy_arrays_of_the_standard_library_are_lists(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(arrays, "numpy", lambda: None)
+    monkeypatch.setattr(ros_messages, "numpy", lambda: None)
     assert plain_array(array.array("d", [0.5] * LARGE_ARRAY)) == [0.5] * LARGE_ARRAY
     assert unpack(msgspec.Raw(encode([0.5] * LARGE_ARRAY))) is None
 
@@ -108,10 +108,10 @@ def test_without_numpy_arrays_of_the_standard_library_are_lists(
 def test_numpy_is_none_where_it_is_not_installed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    arrays.numpy.cache_clear()
-    assert arrays.numpy() is numpy
-    arrays.numpy.cache_clear()
+    ros_messages.numpy.cache_clear()
+    assert ros_messages.numpy() is numpy
+    ros_messages.numpy.cache_clear()
     monkeypatch.setitem(sys.modules, "numpy", None)
-    monkeypatch.setattr(arrays, "find_spec", lambda name: None)
-    assert arrays.numpy() is None
-    arrays.numpy.cache_clear()
+    monkeypatch.setattr(ros_messages, "find_spec", lambda name: None)
+    assert ros_messages.numpy() is None
+    ros_messages.numpy.cache_clear()

@@ -1,10 +1,12 @@
-"""`fibaction.words.goal_query`: which goals are wanted, and texts of times."""
+"""`fibaction.words.goal_query`: which goals are wanted and kept, and texts of times."""
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Generator
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -16,11 +18,14 @@ from fibaction.words import goal_query
 from fibaction.words.goal_query import (
     LABEL_TEXT,
     MAX_WORDS,
+    SECOND,
     SORTS,
     STATUSES,
+    GoalHistory,
     GoalQuery,
     PastPage,
     cancel_stamp_of,
+    check_is_history,
     label_of,
     sort_key,
     time_of,
@@ -242,3 +247,30 @@ async def test_all_pages_are_read_one_after_the_other(
     read: list[GoalInfo] = []
     await goal_query.read_pages(past_goals, GoalQuery(), read.extend)
     assert read == infos
+
+
+@pytest.mark.parametrize(
+    ("fields", "error", "text"),
+    [
+        ({"seconds": 0}, ValueError, "seconds must be more than 0, not 0"),
+        ({"seconds": math.nan}, ValueError, "seconds must be more than 0, not nan"),
+        ({"seconds": "1"}, TypeError, "seconds must be a number, not '1'"),
+        ({"goals": 0}, ValueError, "goals must be 1 or more, not 0"),
+        ({"goals": 1.5}, TypeError, "goals must be a whole number, not 1.5"),
+    ],
+)
+def test_bounds_are_checked(fields: dict[str, Any], error: type[Exception], text: str) -> None:
+    with pytest.raises(error, match=text):
+        GoalHistory(**fields)
+
+
+def test_an_end_is_too_long_ago_after_the_seconds_of_the_history() -> None:
+    assert GoalHistory(seconds=2.5).earliest_end(10 * SECOND) == 7.5 * SECOND
+    assert GoalHistory(seconds=math.inf).earliest_end(10 * SECOND) == -1
+
+
+def test_what_is_not_a_history_is_a_type_error() -> None:
+    check_is_history(None)
+    check_is_history(GoalHistory())
+    with pytest.raises(TypeError, match="history must be a GoalHistory, not 5"):
+        check_is_history(5)

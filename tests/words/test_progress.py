@@ -1,4 +1,4 @@
-"""`fibaction.words.progress`: how far a goal has come, by its feedback."""
+"""`fibaction.words.progress`: how far a goal has come, and the mark of a result."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pydantic
 import pytest
 
-from fibaction import Progress
+from fibaction import Progress, Return
 from fibaction.words.progress import ProgressMeter
 from tests.support.progress_cases import CASES
 
@@ -77,3 +77,8 @@ def test_a_number_that_is_not_finite_is_no_progress_and_no_total() -> None:
     assert meter.read({"done": math.inf, "total": 4}) is None
     assert meter.read({"percent": math.nan}) is None
     assert meter.read({"done": 1, "total": math.inf}) == Progress(1)
+
+
+def test_it_shows_the_value_that_it_marks() -> None:
+    assert repr(Return([1])) == "Return([1])"
+    assert Return("x").value == "x"

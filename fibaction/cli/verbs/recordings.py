@@ -23,8 +23,7 @@ from fibaction.cli.output.lines import log_connection, log_with_time, say, say_j
 from fibaction.cli.process.exit_codes import ExitCode, Failure, advising, run
 from fibaction.cli.process.signals import stop_signals, until_interrupted
 from fibaction.cli.verbs.serve import served
-from fibaction.observe.recordings.recorder import Recorder
-from fibaction.observe.recordings.remote_recorder import record_from
+from fibaction.observe.recordings.recorder import Recorder, record_from
 
 
 @click.command(
@@ -184,8 +183,7 @@ def show_command(file: str, as_json: bool) -> None:
 @click.argument("path", metavar="MCAP_FILE", type=click.Path(dir_okay=False))
 def export_command(recording: str, path: str) -> None:
     """Write a recording as an MCAP file, which Foxglove opens. MCAP_FILE is replaced."""
-    from fibaction.observe.recordings.mcap_export import export_mcap
-    from fibaction.observe.recordings.recording_file import RecordingError
+    from fibaction.observe.recordings.recording_file import RecordingError, export_mcap
 
     try:
         count = export_mcap(recording, path)

@@ -29,7 +29,7 @@ from fibaction.observe.metrics import Metrics
 from fibaction.observe.metrics_server import serve_metrics
 from fibaction.observe.recordings.recorder import Recorder
 from fibaction.stores.sqlite_store import SqliteStore
-from fibaction.words.goal_history import DAY, GoalHistory
+from fibaction.words.goal_query import DAY, GoalHistory
 from fibaction.words.statuses import GoalStatus
 
 LAST_SECONDS = 0.5

@@ -58,13 +58,13 @@ from fibaction.server.execution.executor_ends import (
     wrong_result,
 )
 from fibaction.server.execution.interruption import CancelOnce, ScopesPhase, Stepper
-from fibaction.server.execution.running_goal import RunningGoal
 from fibaction.server.execution.watchdog import Watch
+from fibaction.server.functions.report import RunningGoal
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.server.registry.goal_record import Ending, EndKind
 from fibaction.types.action import Action, Codec, FeedbackT, GoalT, ResultT
 from fibaction.words.goals import CurrentGoal, current_goal
-from fibaction.words.returned import Return
+from fibaction.words.progress import Return
 
 if TYPE_CHECKING:
     from fibaction.feeds.feedback_log import FeedbackLog

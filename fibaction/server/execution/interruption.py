@@ -36,7 +36,7 @@ clean-up absorbs the cancellation.
 An executor may survive being killed: it catches each cancellation and awaits again, or it waits
 where no cancellation arrives. Since `Stepper` drives the coroutine, it can stop doing so: it
 abandons the coroutine after MOST_KILLS cancellations, or when `CancelOnce.abandon()` is called. To
-the task, the coroutine has then returned (see `abandoned`).
+the task, the coroutine has then returned (see `executor_ends`).
 
 That may leave scopes of the coroutine open, for which asyncio and trio end the task's group.
 So it is done at the end of a server only (`DOOMED`). Before that, a coroutine that survives
@@ -57,7 +57,7 @@ from typing import Any, Generic, TypeVar
 from anyio import CancelScope, TaskHandle, current_effective_deadline, get_cancelled_exc_class
 from anyio.lowlevel import checkpoint
 
-from fibaction.server.execution.abandoned import MOST_KILLS, AbandonedCoroutine, keep_for_ever
+from fibaction.server.execution.executor_ends import MOST_KILLS, AbandonedCoroutine, keep_for_ever
 from fibaction.server.execution.turns import Turns
 
 T = TypeVar("T")

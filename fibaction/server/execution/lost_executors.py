@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 from anyio import current_time, sleep_until
 
 from fibaction._runtime.notify import Notifier
-from fibaction.server.execution.abandoned import warn_of_kill
 from fibaction.server.execution.executor import Execution, ExecutorPhase
+from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.words.goals import GoalID
 
 if TYPE_CHECKING:

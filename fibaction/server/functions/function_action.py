@@ -12,13 +12,12 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, cast, overload
 from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 
-from fibaction.server.execution.running_goal import RunningGoal
-from fibaction.server.functions.report import DONE, Report
+from fibaction.server.functions.report import DONE, Report, RunningGoal
 from fibaction.server.functions.signature import FunctionSignature, innermost, is_async
 from fibaction.server.goal_handle import GoalHandle
 from fibaction.types.action import Action, Codec, FeedbackT, ResultT
 from fibaction.types.arguments import Arguments, P
-from fibaction.words.returned import Return
+from fibaction.words.progress import Return
 
 CallT = TypeVar("CallT", covariant=True)
 ObjectT = TypeVar("ObjectT")

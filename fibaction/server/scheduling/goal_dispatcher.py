@@ -41,7 +41,7 @@ from fibaction._runtime.text import excerpt
 from fibaction.border.goal_store import OpenKeySlots
 from fibaction.server.admission.callbacks import failures_as
 from fibaction.server.admission.sender_argument import with_sender
-from fibaction.server.execution.abandoned import warn_of_kill
+from fibaction.server.execution.executor_ends import warn_of_kill
 from fibaction.server.scheduling.dispatcher import DispatchedGoals, Dispatcher
 from fibaction.server.scheduling.schedule import Schedule
 from fibaction.server.scheduling.scheduled_goals import Act, Order

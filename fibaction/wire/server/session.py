@@ -41,8 +41,8 @@ from collections.abc import Callable, Mapping
 from anyio import current_effective_deadline, get_cancelled_exc_class
 from anyio.abc import TaskGroup
 
+from fibaction._runtime import RELEASE
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.release import RELEASE
 from fibaction._runtime.text import excerpt
 from fibaction.border.abc import Endpoint
 from fibaction.border.byte_budgets import ByteBudget

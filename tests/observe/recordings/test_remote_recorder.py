@@ -25,10 +25,9 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalStream
-from fibaction.observe.recordings import remote_recorder
-from fibaction.observe.recordings.recorder import Recorder
+from fibaction.observe.recordings import recorder as recorders
+from fibaction.observe.recordings.recorder import Recorder, record_from
 from fibaction.observe.recordings.recording_file import Record, read_records
-from fibaction.observe.recordings.remote_recorder import record_from
 from fibaction.types.action import ActionInfo
 from fibaction.words.errors import ConnectionLost, TransportError, UnknownGoal
 from fibaction.words.goals import GoalID
@@ -49,7 +48,7 @@ def path(tmp_path: Path) -> Path:
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """The recorder looks for new actions, and for its end, at once."""
     look_often(monkeypatch)
-    monkeypatch.setattr(remote_recorder, "RETRY_PAUSE", 0.01)
+    monkeypatch.setattr(recorders, "RETRY_PAUSE", 0.01)
 
 
 class Gated:
@@ -205,7 +204,7 @@ async def test_a_goal_that_cannot_be_followed_is_said_to_be_left_unless_it_has_e
 async def test_goals_that_were_followed_are_forgotten_after_a_while(
     robot: RunRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(remote_recorder, "REMEMBERED", 1)
+    monkeypatch.setattr(recorders, "REMEMBERED", 1)
     async with robot() as one:
         one.gated.go_on.set()
         one.record()

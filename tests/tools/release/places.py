@@ -20,7 +20,7 @@ class Place(NamedTuple):
 
 _PLACES = [
     Place("pyproject.toml", r'^version = "(?P<version>.+)"$'),
-    Place("fibaction/_runtime/release.py", r'^RELEASE = "(?P<version>.+)"$'),
+    Place("fibaction/_runtime/__init__.py", r'^RELEASE = "(?P<version>.+)"$'),
     Place("CITATION.cff", r"^version: (?P<version>.+)$"),
     Place("zensical.toml", r'^version = "(?P<version>.+)"$'),
     Place(

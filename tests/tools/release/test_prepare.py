@@ -58,7 +58,12 @@ def test_every_file_gets_the_version_and_its_day(scratch: Path) -> None:
     assert run(scratch, "prepare", NEXT, DAY) == []
 
     found = texts(scratch)
-    for file in ("pyproject.toml", "fibaction/_runtime/release.py", "zensical.toml", "docs/cli.md"):
+    for file in (
+        "pyproject.toml",
+        "fibaction/_runtime/__init__.py",
+        "zensical.toml",
+        "docs/cli.md",
+    ):
         assert NEXT in found[file]
     assert "This is version 7.8, and" in found["README.md"]
     assert "| 7.8, and the newest commit |" in found["SECURITY.md"]

@@ -24,8 +24,7 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.words.goal_history import GoalHistory
-from fibaction.words.goal_query import GoalQuery, PastPage
+from fibaction.words.goal_query import GoalHistory, GoalQuery, PastPage
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.broker import PutError, PutFailure
 from fibaction_transports.nats.broker.nats_broker import NatsBroker, open_broker

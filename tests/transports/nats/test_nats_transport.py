@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from fibaction import ActionServer, InvalidURL, ServerNotFound, TransportError, connect, serve
 from fibaction.border.urls import transport_for
 from fibaction.wire.transport import TlsFiles
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction.words.goals import GoalID
 from fibaction_transports.nats import NatsTransport
 from fibaction_transports.nats.names import (

@@ -29,7 +29,7 @@ from fibaction import (
     serve,
 )
 from fibaction.border.event_loop import Background
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction.words.intake import IntakeChange, IntakeMode
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.broker import Broker, BrokerAway

@@ -12,8 +12,8 @@ import pytest
 from fibaction import Action, ActionInfo, ProtocolError, TransportError
 from fibaction.action_files import action_source, define_action, load_action
 from fibaction.interfaces.ros_types import Int32
-from fibaction.types import arrays
-from fibaction.types.arrays import LARGE_ARRAY
+from fibaction.types import ros_messages
+from fibaction.types.ros_messages import LARGE_ARRAY
 from fibaction_transports.ros2.convert import fields
 from fibaction_transports.ros2.without_ros.messages.file_types import FileTypes, InterfaceFiles
 
@@ -144,7 +144,7 @@ Part[] parts
 def numpy_or_not(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Convert large arrays by numpy, or as where it is not installed."""
     if request.param == "without numpy":
-        for module in (arrays, fields):
+        for module in (ros_messages, fields):
             monkeypatch.setattr(module, "numpy", lambda: None)
 
 

@@ -12,7 +12,7 @@ import msgspec
 from fibaction.wire.settings import WireSettings
 from fibaction.wire.transport import TlsFiles
 from fibaction.words.errors import TransportError
-from fibaction.words.goal_history import DAY, GoalHistory
+from fibaction.words.goal_query import DAY, GoalHistory
 from fibaction_transports.nats.names import token_of
 
 MANY = 3

@@ -25,7 +25,7 @@ from enum import Enum
 from typing import NamedTuple, TypeAlias
 
 from fibaction.border.abc import Notifier
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction_transports.nats.names import FleetNames
 
 NO_RESPONDERS = "503"

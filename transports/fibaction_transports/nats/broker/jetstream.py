@@ -14,7 +14,7 @@ import msgspec
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction_transports.nats.broker.broker import (
     BrokerAway,
     BrokerStream,

@@ -12,7 +12,7 @@ import anyio
 import msgspec
 
 from fibaction.border.event_loop import Background
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction_transports.nats.broker import jetstream
 from fibaction_transports.nats.broker.answers import ACK_TIMEOUT
 from fibaction_transports.nats.broker.broker import (

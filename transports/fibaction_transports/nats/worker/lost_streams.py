@@ -26,7 +26,7 @@ from anyio import sleep
 
 from fibaction.border.peer_text import clean_logger
 from fibaction.words.errors import TransportError
-from fibaction.words.goal_history import GoalHistory
+from fibaction.words.goal_query import GoalHistory
 from fibaction_transports.nats.broker.broker import BrokerAway
 from fibaction_transports.nats.worker.journal import WorkerJournals
 from fibaction_transports.nats.worker.lease import FIRST_PAUSE

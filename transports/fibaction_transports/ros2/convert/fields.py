@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from fibaction.interfaces.ros_types import PRIMITIVES, Byte, limited, string
 from fibaction.interfaces.ros_types import array as array_of
-from fibaction.types.arrays import LARGE_ARRAY, numpy, pack, unpack
+from fibaction.types.ros_messages import LARGE_ARRAY, numpy, pack, unpack
 from fibaction_transports.ros2.convert.schemas import ANYTHING, Option, UserSchema
 
 Convert: TypeAlias = Callable[[Any], Any] | None

@@ -18,7 +18,7 @@ from typing import Any, cast
 import msgspec
 
 from fibaction.interfaces.ros_types import struct
-from fibaction.types.arrays import numpy
+from fibaction.types.ros_messages import numpy
 from fibaction.words.errors import TransportError
 from fibaction_transports.ros2.convert.conversion import RosCodec
 from fibaction_transports.ros2.convert.fields import (

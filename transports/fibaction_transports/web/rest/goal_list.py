@@ -30,7 +30,7 @@ import msgspec
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import SLICE
 from fibaction.border.http_access import Refused
-from fibaction.feeds.goal_search import GoalSearch
+from fibaction.feeds.answers import GoalSearch
 from fibaction.words.errors import ServerFailed, TransportError
 from fibaction.words.goal_query import (
     ANY_GOAL,
