@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import anyio
 import pytest
 
 from fibaction import ConnectionLost, GoalID, GoalStatus, Schedule
-from fibaction.border.abc import StatusStream
+from fibaction.border.abc import Endpoint, ForwardingEndpoint, StatusStream
 from fibaction.words.goals import Sender
 from fibaction_transports.nats.client import statuses as statuses_module
 from fibaction_transports.nats.client.statuses import steps
@@ -200,20 +202,50 @@ async def test_brokers_that_are_away_delay_the_statuses(fleet: FakeFleet) -> Non
                     await client.goals()
 
 
+class Followed(ForwardingEndpoint):
+    """A gateway that keeps the streams of those who follow its goals."""
+
+    def __init__(self, inner: Endpoint) -> None:
+        super().__init__(inner)
+        self.streams: list[Any] = []
+
+    async def status(self) -> StatusStream:
+        self.streams.append(await super().status())
+        return cast("StatusStream", self.streams[-1])
+
+
 async def test_goals_of_a_gateway_are_told_as_long_as_they_are_followed(fleet: FakeFleet) -> None:
-    async with fleet.worker("g", is_kept=False).serve(server()) as g, fleet.connect() as connection:
+    gateway = Followed(server())
+    async with fleet.worker("g", is_kept=False).serve(gateway), fleet.connect() as connection:
         client = client_of(connection)
-        for known in (0, 1):
+        for known in (0, 2):
             with await client.endpoint.status() as statuses:
                 assert statuses.known == known
-                await client.call(3)
-                told = [*["SUCCEEDED"] * known, "ACCEPTED", "EXECUTING", "SUCCEEDED"]
-                assert await next_of(statuses, 3 + known) == told
-                assert len(await client.goals()) == 1 + known
-                if known:
-                    g.die()
-                    await settled()
+                told = ["SUCCEEDED"] * known
+                for number in (1, 2):
+                    await client.call(3)
+                    told += ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+                    assert await next_of(statuses, len(told)) == told
+                    assert len(await client.goals()) == known + number
+                    told.clear()
             await settled()
+            assert gateway.streams[-1]._end is not None, "it is closed"
+    assert len(gateway.streams) == 2, "one for all who follow at the same time"
+
+
+async def test_a_gateway_that_comes_back_is_followed_again(fleet: FakeFleet) -> None:
+    async with fleet.connect() as connection:
+        client = client_of(connection)
+        async with fleet.worker("g", is_kept=False).serve(server()) as g:
+            statuses = await client.endpoint.status()
+            g.die()
+            await settled()
+        async with fleet.worker("g", is_kept=False).serve(server()):
+            await settled()
+            await client.goals()
+            await client.call(3)
+            assert await next_of(statuses, 3) == ["ACCEPTED", "EXECUTING", "SUCCEEDED"]
+        statuses.close()
 
 
 async def test_a_place_of_a_goal_that_has_begun_by_its_record_is_left_out(
