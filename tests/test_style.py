@@ -141,7 +141,7 @@ def test_a_name_and_a_pointer_to_a_module_that_is_gone_are_found() -> None:
 CLEAN_LOGS = (
     "fibaction/_runtime/log.py",
     "fibaction/cli/output/lines.py",
-    "fibaction/cli/verbs/top.py",
+    "fibaction/cli/verbs/overview.py",
     "fibaction/server/log_keeper.py",
 )
 """The modules that set up logs, and so may use any logger."""

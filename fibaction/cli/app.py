@@ -26,7 +26,7 @@ from fibaction.cli.process.exit_codes import ExitCode, debugging, report_errors
 GROUPS = {
     "Serve": {
         "serve": ("serve", "serve_command", "Run your action servers."),
-        "console": ("console", "console_command", "Operate actions in the browser."),
+        "console": ("bridge", "console_command", "Operate actions in the browser."),
         "bridge": ("bridge", "bridge_command", "Serve the actions of one URL at another."),
         "broker": ("brokers", "broker_command", "Run a broker for a fleet on this machine."),
         "router": ("brokers", "router_command", "Run a router of Zenoh, for zenoh://."),
@@ -35,11 +35,11 @@ GROUPS = {
     "Send and follow goals": {
         "send_goal": ("send_goal", "send_goal_command", "Send a goal, and follow it."),
         "attach": ("follow", "attach_command", "Follow a goal that was sent before."),
-        "cancel": ("cancel", "cancel_command", "Cancel goals of any client."),
+        "cancel": ("levers", "cancel_command", "Cancel goals of any client."),
         "goals": ("list_goals", "goals_command", "List goals and their statuses."),
         "echo": ("follow", "echo_command", "Print every status and feedback of an action."),
-        "top": ("top", "top_command", "Watch all actions and goals on a live screen."),
-        "stats": ("stats", "stats_command", "Count goals, failures, and how long they take."),
+        "top": ("overview", "top_command", "Watch all actions and goals on a live screen."),
+        "stats": ("overview", "stats_command", "Count goals, failures, and how long they take."),
     },
     "Operate": {
         "pause": ("levers", "pause_command", "Let no new goal begin, or be accepted."),

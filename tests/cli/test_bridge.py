@@ -15,7 +15,7 @@ import pytest
 
 from fibaction import Action, ActionInfo, ActionServer, connect, serve
 from fibaction.border.abc import Connection, Endpoint
-from fibaction.cli.bridge.renames import Renames
+from fibaction.cli.bridge.ends import Renames
 from fibaction.cli.bridge.sources import BridgedActions
 from fibaction.cli.process.exit_codes import ExitCode, Failure
 from fibaction.cli.verbs import bridge

@@ -10,8 +10,7 @@ import pytest
 
 from fibaction import Action, ActionServer, ClientConnection, GoalID, GoalStatus, connect
 from fibaction.cli.arguments.names import ROOT, Namespace
-from fibaction.cli.bridge.ends import open_end
-from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.cli.bridge.ends import AS_THEY_ARE, Renames, open_end
 from fibaction.cli.process.exit_codes import Failure
 from fibaction.words.errors import ServerNotFound, TransportError
 from fibaction_transports.inprocess import InProcessTransport

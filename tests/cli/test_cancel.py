@@ -15,8 +15,8 @@ from fibaction import (
     serve,
 )
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs import cancel
-from fibaction.cli.verbs.cancel import cancel_many
+from fibaction.cli.verbs import levers
+from fibaction.cli.verbs.levers import cancel_many
 from tests.cli.conftest import Invoke, Run, detached
 from tests.cli.robot import WAIT
 from tests.cli.served import Altered, counter
@@ -104,7 +104,7 @@ async def test_a_server_that_is_lost_does_not_delay_the_others(
 
 def test_a_stamp_is_nanoseconds_or_a_time() -> None:
     def stamp(text: str) -> int:
-        return cancel._Stamp().convert(text, None, None)
+        return levers._Stamp().convert(text, None, None)
 
     assert stamp("1795250042441581238") == 1795250042441581238
     assert stamp("1970-01-01T00:00:02.5Z") == 2_500_000_000

@@ -15,7 +15,7 @@ import pytest
 
 from fibaction.cli.bridge.sources import named_urls
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs import console
+from fibaction.cli.verbs import bridge
 from tests.cli.conftest import Invoke, Run, Start
 from tests.support.processes import ended, lines_until
 
@@ -100,7 +100,7 @@ def test_a_server_without_a_name_has_that_of_its_host_or_its_scheme() -> None:
 def test_a_browser_is_opened_where_there_are_windows(
     environment: dict[str, str], platform: str, can: bool
 ) -> None:
-    assert console.can_open(environment, platform) is can
+    assert bridge.can_open(environment, platform) is can
 
 
 @pytest.mark.parametrize("shown", ["a server", "servers", "a recording"])
@@ -109,7 +109,7 @@ def test_no_browser_is_opened_where_none_is_wanted(
 ) -> None:
     file = tmp_path / "today.jsonl"
     file.write_text('{"time":1,"event":"server","action":"count"}\n')
-    monkeypatch.setattr(console, "say", lambda _: signal.raise_signal(SIGTERM))
+    monkeypatch.setattr(bridge, "say", lambda _: signal.raise_signal(SIGTERM))
     monkeypatch.setattr(webbrowser, "open", pytest.fail)
     given = {"a server": [tcp], "servers": [tcp, tcp], "a recording": [str(file)]}[shown]
     result = invoke("console", *given, "--no-open")

@@ -25,8 +25,7 @@ from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint
 from fibaction.cli.arguments.names import ROOT, Namespace
 from fibaction.cli.bridge import sources
-from fibaction.cli.bridge.ends import BridgeEnd, open_end
-from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames
+from fibaction.cli.bridge.ends import AS_THEY_ARE, BridgeEnd, Renames, open_end
 from fibaction.cli.bridge.sources import LOOKS, BridgedActions, BridgedSources
 from fibaction.observe.sources import ListedServer
 from fibaction_transports.ros2 import Node, open_node

@@ -10,8 +10,8 @@ import pytest
 
 from fibaction import GoalAborted, ServerNotFound
 from fibaction.cli.arguments.names import ROOT
-from fibaction.cli.verbs import stats
-from fibaction.cli.verbs.stats import lines_of, print_statistics
+from fibaction.cli.verbs import overview
+from fibaction.cli.verbs.overview import lines_of, print_statistics
 from fibaction.feeds.statistics import (
     ActionStatistics,
     FailedGoals,
@@ -58,7 +58,7 @@ async def test_each_action_is_told_and_one_that_does_not_answer_is_left_out(
 
     async with counter("pick", [GoalAborted("stuck")]) as pick, counter("place") as place:
         served = Served(pick, Altered(place, status=away))
-        monkeypatch.setattr(stats, "connect", lambda _url: nullcontext(served.connection))
+        monkeypatch.setattr(overview, "connect", lambda _url: nullcontext(served.connection))
         client = served.connection.client(pick.action)
         await (await client.send_goal(1)).outcome()
         assert await print_statistics("", (), ROOT, None, as_json=True) == 0

@@ -34,7 +34,7 @@ from fibaction.cli.output.lines import LogHandler
 from fibaction.cli.output.screen import ORDERS, GoalView, TopScreen
 from fibaction.cli.output.screen_tables import FeedbackText, GoalTable
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs import top
+from fibaction.cli.verbs import overview
 from fibaction.client.events import GoalFeedback
 from fibaction.observe.monitor import GoalKey, Monitor
 from tests.cli.conftest import Invoke, Open, Robot, Run
@@ -125,8 +125,8 @@ def sys_with_terminals(*, but: str = "") -> SimpleNamespace:
 def test_each_stream_is_needed_for_the_screen(
     missing: str, invoke: Invoke, tcp: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(top, "sys", sys_with_terminals(but=missing))
-    monkeypatch.setattr(top, "show", None)
+    monkeypatch.setattr(overview, "sys", sys_with_terminals(but=missing))
+    monkeypatch.setattr(overview, "show", None)
 
     result = invoke("top", url=tcp)
 
@@ -144,8 +144,8 @@ def test_the_command_runs_the_screen(
     async def show(_: object, url: str) -> None:
         shown.append(url)
 
-    monkeypatch.setattr(top, "show", show)
-    monkeypatch.setattr(top, "sys", sys_with_terminals())
+    monkeypatch.setattr(overview, "show", show)
+    monkeypatch.setattr(overview, "sys", sys_with_terminals())
 
     assert invoke("top", url=tcp).exit_code == 0
     assert shown == [tcp]
@@ -173,18 +173,18 @@ async def test_what_is_logged_meanwhile_is_written_when_the_screen_is_gone(
     before: list[str] = []
 
     def on_mount(screen: TopScreen) -> None:
-        for number in range(top.MOST_LINES + 1):
+        for number in range(overview.MOST_LINES + 1):
             logging.getLogger("fibaction.wire").warning("line %d is bad", number)
         before.append(capsys.readouterr().err)
         screen.exit()
 
     monkeypatch.setattr(TopScreen, "on_mount", on_mount)
     with anyio.fail_after(20):
-        await top.show(Served(counter("one")).connection, "inproc://top")
+        await overview.show(Served(counter("one")).connection, "inproc://top")
 
     assert before == [""]
     said = capsys.readouterr().err.splitlines()
-    assert said == [f"line {number} is bad" for number in range(1, top.MOST_LINES + 1)]
+    assert said == [f"line {number} is bad" for number in range(1, overview.MOST_LINES + 1)]
     assert root.handlers == [handler]
 
 
@@ -197,7 +197,7 @@ async def test_an_error_of_the_connection_ends_it() -> None:
     server = Altered(counter("one"), status=lost, wait_for_server=lost)
     with anyio.fail_after(20):
         with pytest.raises(ExceptionGroup) as errors:
-            await top.show(Served(server).connection, "inproc://top?token=secret")
+            await overview.show(Served(server).connection, "inproc://top?token=secret")
 
     assert errors.group_contains(ConnectionLost)
 

@@ -14,7 +14,7 @@ import anyio
 import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 
-from fibaction.cli.process.ros_nodes import say_names
+from fibaction.cli.verbs.topics import say_names
 from fibaction_transports.ros2 import EndQos, Node, open_node
 from fibaction_transports.ros2.without_ros.messages.message_type import ServiceType
 from tests.cli.conftest import Run, Start

@@ -11,7 +11,7 @@ import pytest
 
 from fibaction.cli.arguments.options import URL
 from fibaction.cli.process.exit_codes import ExitCode
-from fibaction.cli.verbs import top
+from fibaction.cli.verbs import overview
 from fibaction_transports.tcp import TcpTransport
 from tests.cli.conftest import Invoke
 from tests.cli.test_top import sys_with_terminals
@@ -206,7 +206,7 @@ ALL = {
 @pytest.fixture(autouse=True)
 def in_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     """`top` finds a terminal, which it does not come to use."""
-    monkeypatch.setattr(top, "sys", sys_with_terminals())
+    monkeypatch.setattr(overview, "sys", sys_with_terminals())
 
 
 def test_the_url_is_that_of_the_verb_or_of_the_group_or_of_the_environment(

@@ -19,7 +19,7 @@ from fibaction import (
     Outcome,
 )
 from fibaction.border.abc import ForwardingEndpoint, GoalStream
-from fibaction.testing.contract.test_children import MISSION, Items, Mission
+from fibaction.testing.contract.test_senders import MISSION, Items, Mission
 from fibaction.words.goal_steps import GoalStep, GoalSteps
 from tests.support.executors import Steps
 from tests.support.fibonacci import FIBONACCI, Goal, fibonacci

@@ -1,3 +1,3 @@
 """The messages of Fibonacci and their action, as the contract has them."""
 
-from fibaction.testing.contract.fibonacci import *  # noqa: F403
+from fibaction.testing.contract.executors import *  # noqa: F403

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from fibaction.wire.server.addresses import Addresses, Candidate, address_of
+from fibaction.wire.wire_server import Addresses, Candidate, address_of
 
 
 @pytest.mark.parametrize(

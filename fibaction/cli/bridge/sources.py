@@ -19,8 +19,7 @@ from fibaction.border.event_loop import Background
 from fibaction.border.urls import transport_for, without_settings
 from fibaction.cli.arguments.names import Namespace, shown
 from fibaction.cli.arguments.options import reject_inproc
-from fibaction.cli.bridge.ends import BridgeEnd, open_end
-from fibaction.cli.bridge.renames import AS_THEY_ARE, Renames, clash
+from fibaction.cli.bridge.ends import AS_THEY_ARE, BridgeEnd, Renames, clash, open_end
 from fibaction.cli.output.escape import excerpt
 from fibaction.cli.output.lines import note
 from fibaction.cli.process.exit_codes import Failure, message_of

@@ -14,7 +14,7 @@ from fibaction.cli.output.escape import printable
 from fibaction.cli.output.lines import say, say_json
 from fibaction.cli.output.yaml_text import as_yaml
 from fibaction.cli.process.exit_codes import ExitCode, Failure
-from fibaction.cli.process.ros_nodes import (
+from fibaction.cli.verbs.topics import (
     all_option,
     run_at,
     say_names,

@@ -1,6 +1,6 @@
-"""An executor that tests let go, executors that fail with the ends of their goals, and two forms.
+"""The action of the tests, Fibonacci, and its executors: one that tests let go, and some that fail.
 
-The forms are the generator, and a function that does the same by a report.
+They have two forms: the generator, and a function that does the same by a report.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from collections.abc import AsyncGenerator, Callable
 from typing import TypeAlias, cast
 
 import anyio
+import msgspec
 
 from fibaction import (
+    Action,
     FunctionAction,
     GoalAborted,
     GoalCanceled,
@@ -24,7 +26,37 @@ from fibaction import (
 )
 from fibaction.border.abc import StatusStream
 from fibaction.server.execution.executor import Executor
-from fibaction.testing.contract.fibonacci import Feedback, Goal, Result
+
+
+class Goal(msgspec.Struct):
+    order: int
+
+
+class Feedback(msgspec.Struct):
+    partial_sequence: list[int]
+
+
+class Result(msgspec.Struct):
+    sequence: list[int]
+
+
+FIBONACCI = Action(
+    "fibonacci",
+    goal=Goal,
+    feedback=Feedback,
+    result=Result,
+    type_name="arduinobot_msgs/action/Fibonacci",
+)
+
+
+async def fibonacci(goal: GoalHandle[Goal]) -> AsyncGenerator[Feedback | Result, None]:
+    """Compute at once, with one feedback per term after the first two."""
+    sequence = [0, 1]
+    while len(sequence) <= goal.request.order:
+        sequence.append(sequence[-1] + sequence[-2])
+        yield Feedback(sequence)
+    yield Result(sequence[: goal.request.order + 1])
+
 
 Items = AsyncGenerator[Feedback | Result, None]
 

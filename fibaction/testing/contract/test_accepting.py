@@ -23,8 +23,15 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.testing.contract.executors import Steps, Undecided
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.executors import (
+    FIBONACCI,
+    Feedback,
+    Goal,
+    Result,
+    Steps,
+    Undecided,
+    fibonacci,
+)
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
 

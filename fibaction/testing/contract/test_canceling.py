@@ -21,8 +21,17 @@ from fibaction import (
     connect,
     serve,
 )
-from fibaction.testing.contract.executors import Form, Items, Steps, Undecided, next_with
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import (
+    FIBONACCI,
+    Feedback,
+    Form,
+    Goal,
+    Items,
+    Result,
+    Steps,
+    Undecided,
+    next_with,
+)
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
 

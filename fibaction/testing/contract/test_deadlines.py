@@ -32,8 +32,7 @@ from fibaction import (
 )
 from fibaction._runtime.notify import Notifier
 from fibaction.border.abc import Endpoint, ForwardingEndpoint, GoalRequest, GoalStream
-from fibaction.testing.contract.executors import Items, Steps
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import FIBONACCI, Feedback, Goal, Items, Result, Steps
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio

@@ -23,8 +23,17 @@ from fibaction import (
     serve,
 )
 from fibaction.border.abc import StatusStream
-from fibaction.testing.contract.executors import Form, Items, Steps, next_with
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
+from fibaction.testing.contract.executors import (
+    FIBONACCI,
+    Feedback,
+    Form,
+    Goal,
+    Items,
+    Result,
+    Steps,
+    fibonacci,
+    next_with,
+)
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach, running
 

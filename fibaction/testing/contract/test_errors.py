@@ -25,7 +25,7 @@ from fibaction import (
     UnknownGoal,
 )
 from fibaction.border.abc import GoalRequest, GoalStream, StatusStream
-from fibaction.testing.contract.fibonacci import FIBONACCI
+from fibaction.testing.contract.executors import FIBONACCI
 from fibaction.testing.contract.reach import Reach
 from fibaction.types.action import ActionInfo
 from fibaction.wire.errors import NUMBERS

@@ -11,13 +11,17 @@ import pytest
 from fibaction import Action, ActionServer, GoalAborted, GoalHandle, GoalStatus
 from fibaction.testing.contract.executors import (
     ABORTED,
+    FIBONACCI,
     OF_GENERATORS,
+    Feedback,
     Form,
+    Goal,
     Items,
+    Result,
     as_function,
+    fibonacci,
     raises_after_feedback,
 )
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
 from fibaction.testing.contract.matching import End
 from fibaction.testing.contract.reach import Reach
 

@@ -9,8 +9,15 @@ import anyio
 import pytest
 
 from fibaction import ActionServer, GoalFeedback, GoalHandle, GoalInfo, GoalStatus
-from fibaction.testing.contract.executors import Form, Items, Steps
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import (
+    FIBONACCI,
+    Feedback,
+    Form,
+    Goal,
+    Items,
+    Result,
+    Steps,
+)
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio

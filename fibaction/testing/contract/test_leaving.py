@@ -14,8 +14,7 @@ from fibaction import (
     GoalCanceled,
     GoalStatus,
 )
-from fibaction.testing.contract.executors import Steps
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import FIBONACCI, Feedback, Goal, Result, Steps
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio

@@ -22,8 +22,7 @@ from fibaction import (
     GoalStatus,
     Schedule,
 )
-from fibaction.testing.contract.executors import Items
-from fibaction.testing.contract.fibonacci import FIBONACCI, Feedback, Goal, Result
+from fibaction.testing.contract.executors import FIBONACCI, Feedback, Goal, Items, Result
 from fibaction.testing.contract.reach import Reach
 
 pytestmark = pytest.mark.anyio

@@ -40,8 +40,7 @@ from fibaction.border.event_loop import asyncio_task
 from fibaction.border.http_access import Refused
 from fibaction.border.peer_text import clean_logger, excerpt
 from fibaction.wire.channel import CHUNK, LEAVE
-from fibaction.wire.server.addresses import Addresses, Candidate
-from fibaction.wire.wire_server import too_many
+from fibaction.wire.wire_server import Addresses, Candidate, too_many
 from fibaction_transports._http.application import HttpApplication
 from fibaction_transports._http.http_exchange import (
     LONGEST_HEAD,

@@ -30,7 +30,7 @@ from fibaction.border.peer_text import clean_logger
 from fibaction.wire.channel import CHUNK, StreamChannel
 from fibaction.wire.frames import Framing, framed
 from fibaction.wire.messages import Goodbye, Why, encode
-from fibaction.wire.server.addresses import Addresses, Candidate
+from fibaction.wire.wire_server import Addresses, Candidate
 from fibaction.words.errors import AuthenticationFailed, ConnectionLost, TransportError, text_of
 from fibaction_transports._socket_lines.sockets import leave, peer_of, serve_alone
 

@@ -17,8 +17,7 @@ from fibaction.border.settings import TransportSettings
 from fibaction.observe.metrics import Metrics
 from fibaction.observe.sources import Sources
 from fibaction.wire.channel import Line, StreamChannel
-from fibaction.wire.server.addresses import Candidate
-from fibaction.wire.wire_server import WireServer
+from fibaction.wire.wire_server import Candidate, WireServer
 from fibaction_transports._http.server import SPEAKS_TLS, HttpServer, Upgrade
 from fibaction_transports._socket_lines.on_asyncio import LineMaker
 from fibaction_transports._socket_lines.sockets import SocketStream
