@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack, cast
 
 from anyio import create_task_group
 
-from fibaction._runtime.async_only import AsyncBlock
+from fibaction._runtime.async_only import AsyncBlock, OwnThread
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, Startable, Transport
 from fibaction.border.goal_store import GoalStore
 from fibaction.border.urls import transport_for, without_settings

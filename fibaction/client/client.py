@@ -22,7 +22,7 @@ import anyio
 from anyio import get_cancelled_exc_class
 from msgspec.structs import replace
 
-from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.async_only import OwnThread
 from fibaction.border.abc import Endpoint, GoalRequest, GoalStream
 from fibaction.border.watchers import NO_SPAN, GoalTracer
 from fibaction.client.attempts import Attempts, cancel_left

@@ -40,8 +40,7 @@ import msgspec
 from anyio.abc import TaskGroup
 from anyio.streams.memory import MemoryObjectReceiveStream, MemoryObjectSendStream
 
-from fibaction._runtime.async_only import AsyncItems
-from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.async_only import AsyncItems, OwnThread
 from fibaction.border.abc import Endpoint, StatusStream
 from fibaction.border.event_loop import Background
 from fibaction.types.action import Codec, FeedbackT

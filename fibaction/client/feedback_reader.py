@@ -23,9 +23,8 @@ from typing import Generic, TypeVar
 
 import anyio
 
-from fibaction._runtime.async_only import AsyncItems
+from fibaction._runtime.async_only import AsyncItems, OwnThread
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.own_thread import OwnThread
 from fibaction.border.abc import Endpoint, FeedbackItem, GoalStream
 from fibaction.border.watchers import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts

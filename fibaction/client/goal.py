@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeAlias
 
 import anyio
 
-from fibaction._runtime.async_only import AsyncBlock, AsyncItems, HasResult
-from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.async_only import AsyncBlock, AsyncItems, HasResult, OwnThread
 from fibaction.border.abc import Endpoint, GoalStream
 from fibaction.border.watchers import NO_SPAN, GoalSpan
 from fibaction.client.attempts import Attempts, cancel_left

@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 from anyio import CancelScope, Event, get_cancelled_exc_class
 from anyio.lowlevel import current_token
 
-from fibaction._runtime.own_thread import OwnThread
+from fibaction._runtime.async_only import OwnThread
 from fibaction.border.abc import Connection, Endpoint, ForwardingEndpoint, Transport
 from fibaction.border.detached import start_outside
 from fibaction.client.goal import Blocks, leave_blocks

@@ -3,8 +3,7 @@
 A caller uses `payload`: its `JsonCodec` makes the payload of a goal from JSON, and JSON of a
 payload. `turns` has the thread in which large documents are worked on.
 
-`json_schema` reads a schema once. A `check` compares data with its `parts` and makes the value that
-is sent, in one pass, with `keywords` for single values and `combinations` of schemas; it bounds the
-work, too. `mismatch_texts` has the sentences for what does not match. `typescript` uses none of
-these.
+`check` reads a schema once, compares data with its `parts` and makes the value that is sent, in one
+pass, with `keywords` for single values and combinations of schemas; it bounds the work, too.
+`mismatch_texts` has the sentences for what does not match. `typescript` uses none of these.
 """

@@ -14,12 +14,13 @@ from fibaction.schema.check import (
     CheckSteps,
     EnoughMismatches,
     Extent,
+    JsonSchema,
     Mismatch,
+    SchemaError,
     are_equal,
     only_value,
     text_steps,
 )
-from fibaction.schema.json_schema import JsonSchema, SchemaError
 from fibaction.schema.keywords import (
     COMBINATIONS,
     COMPARISONS,

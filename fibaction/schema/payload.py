@@ -26,8 +26,17 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from fibaction.schema.check import MAX_DEPTH, MAX_MISMATCHES, Check, EnoughMismatches, Extent, Path
-from fibaction.schema.json_schema import MAX_PARTS, JsonSchema, SchemaError
+from fibaction.schema.check import (
+    MAX_DEPTH,
+    MAX_MISMATCHES,
+    MAX_PARTS,
+    Check,
+    EnoughMismatches,
+    Extent,
+    JsonSchema,
+    Path,
+    SchemaError,
+)
 from fibaction.schema.mismatch_texts import field_name, sentences
 from fibaction.schema.parts import SchemaPart, SchemaParts
 from fibaction.types.unsendable import unsendable

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fibaction.schema.json_schema import JsonSchema, SchemaError
+from fibaction.schema.check import JsonSchema, SchemaError
 from fibaction.schema.keywords import is_multiple_of
 from fibaction.words.plain_data import is_list, is_map, is_number
 

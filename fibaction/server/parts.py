@@ -28,8 +28,8 @@ from typing import Generic
 
 from anyio import move_on_after
 
+from fibaction._runtime.async_only import HomeLoop
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.own_thread import HomeLoop
 from fibaction.border.event_loop import Background, Slices, loop_clock
 from fibaction.server.admission.admission import Admission
 from fibaction.server.admission.callbacks import GoalCallbacks

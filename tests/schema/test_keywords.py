@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from fibaction.schema.check import Check
-from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.check import Check, JsonSchema
 from fibaction.schema.parts import SchemaParts
 
 UUID = "12345678-1234-5678-1234-567812345678"

@@ -5,8 +5,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import pytest
 
-from fibaction.schema.check import Check
-from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.check import Check, JsonSchema
 from fibaction.schema.mismatch_texts import MAX_NAMED, sentences
 from fibaction.schema.parts import SchemaParts
 

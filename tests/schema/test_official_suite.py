@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from fibaction.schema.check import Check
-from fibaction.schema.json_schema import JsonSchema, SchemaError
+from fibaction.schema.check import Check, JsonSchema, SchemaError
 from fibaction.schema.parts import SchemaParts
 
 DATA = Path(__file__).with_name("data") / "json_schema_2020_12.json.gz"

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.msgpack import Ext
 
-from fibaction.schema.check import TURN, CheckSteps
-from fibaction.schema.json_schema import LISTS_OF_PARTS, PARTS, REFERENCES
+from fibaction.schema.check import LISTS_OF_PARTS, PARTS, REFERENCES, TURN, CheckSteps
 from fibaction.schema.keywords import COMPARISONS
 from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError, to_json
 from tests.cli.robot import Gripper, Pick, Pose, Sucker

@@ -10,9 +10,9 @@ from fibaction.schema.check import (
     TURN,
     CheckSteps,
     Extent,
+    SchemaError,
     are_equal,
 )
-from fibaction.schema.json_schema import SchemaError
 
 
 def test_the_size_of_data_counts_text_by_its_length() -> None:

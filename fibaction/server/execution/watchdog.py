@@ -34,8 +34,8 @@ from time import perf_counter
 from types import FrameType
 from typing import Any, NamedTuple, Protocol
 
+from fibaction._runtime.async_only import HomeLoop
 from fibaction._runtime.log import clean_logger
-from fibaction._runtime.own_thread import HomeLoop
 from fibaction.server.execution.interruption import Current, Stepper
 from fibaction.server.execution.turns import EXECUTOR_SLICE
 from fibaction.server.goal_handle import GoalHandle

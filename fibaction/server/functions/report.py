@@ -29,7 +29,7 @@ from typing import Any, Generic, TypeVar, cast
 
 from anyio import CancelScope, Lock
 
-from fibaction._runtime.own_thread import HomeLoop
+from fibaction._runtime.async_only import HomeLoop
 from fibaction.words.errors import GoalCanceled
 
 

@@ -22,7 +22,7 @@ from fibaction.interfaces.ros_types import (
     array,
     struct,
 )
-from fibaction.schema.json_schema import MAX_PARTS
+from fibaction.schema.check import MAX_PARTS
 from fibaction.schema.payload import JsonCodec, PayloadError
 from fibaction_transports.web.rosbridge.type_definitions import TypeDefinition, schema_of
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.check import JsonSchema
 from fibaction.schema.payload import GoalCodec, JsonCodec, PayloadError, to_json
 from fibaction.schema.turns import Pause
 from fibaction.types.action import NIL, ActionInfo

@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 
 from fibaction.interfaces import ros_types
-from fibaction.schema.json_schema import JsonSchema
+from fibaction.schema.check import JsonSchema
 from fibaction.schema.payload import MAX_PARTS
 from fibaction.words.plain_data import is_map
 from fibaction_transports.web.rosbridge.action_values import DATA, target_of

@@ -5,7 +5,7 @@ from threading import Thread
 import anyio
 import pytest
 
-from fibaction._runtime.own_thread import HomeLoop, OwnThread
+from fibaction._runtime.async_only import HomeLoop, OwnThread
 
 WRONG = "used in thread 'other': call it in its own thread, for example with anyio.from_thread.run"
 
