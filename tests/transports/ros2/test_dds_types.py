@@ -237,16 +237,24 @@ def test_a_value_that_does_not_fit_is_an_error_that_names_its_field(
 
 
 class Octets(msgspec.Struct):
-    """A user's type for octets as numbers, and for a `byte` as bytes."""
+    """A user's type for octets as numbers, and for each `byte` as bytes."""
 
     raw: bytes
     raws: list[int]
+    singly: list[bytes]
+    smalls: list[int]
 
 
 @pytest.mark.usefixtures("numpy_or_not")
 @pytest.mark.parametrize("count", [2, LARGE_ARRAY])
-def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path, count: int) -> None:
-    write(tmp_path, "oct_msgs/action/Octets.action", "byte raw\nbyte[] raws\n---\n---\n")
+def test_a_user_may_have_octets_as_numbers_or_singly(
+    types: FileTypes, tmp_path: Path, count: int
+) -> None:
+    write(
+        tmp_path,
+        "oct_msgs/action/Octets.action",
+        "byte raw\nbyte[] raws\nbyte[] singly\nuint8[] smalls\n---\n---\n",
+    )
     info = ActionInfo(
         "octets",
         "oct_msgs/action/Octets",
@@ -255,9 +263,11 @@ def test_a_user_may_have_octets_as_numbers(types: FileTypes, tmp_path: Path, cou
         {"type": "object"},
     )
     codec = types.find(info.type_name).codecs(info).goal
-    value = Octets(b"\7", [200] * count)
+    value = Octets(b"\7", [200] * count, [b"\1", b"\2"], [200] * count)
     message = codec.to_ros(msgspec.msgpack.encode(value))
     assert (message.raw, message.raws) == (7, bytes([200] * count))
+    assert message.singly == b"\1\2"
+    message.smalls = bytes(message.smalls)  # as it may be, too
     assert msgspec.msgpack.decode(codec.from_ros(message), type=Octets) == value
 
 
