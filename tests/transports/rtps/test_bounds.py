@@ -268,6 +268,15 @@ def test_fragments_that_contradict_each_other_are_dropped(victim: Victim) -> Non
     assert len(victim.texts) == 1
 
 
+def test_of_many_fragments_the_one_that_is_missing_is_requested(victim: Victim) -> None:
+    for first in {*range(1, 301)} - {299}:
+        victim.hear(fragment(victim, 1, 30_000, 100, first))
+    victim.sent.clear()
+    victim.later(0.1)
+    requested = {nack.missing for _, nack in victim.answers(FragmentNack)}
+    assert requested == {NumberSet(299, (299,))}
+
+
 def test_fragments_of_a_sample_that_a_gap_covers_are_given_up(victim: Victim) -> None:
     victim.hear(WriterHeartbeat(*victim.ends, 1, 1, 9))
     victim.hear(fragment(victim, 3, 200, 100))
