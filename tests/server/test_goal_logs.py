@@ -26,6 +26,7 @@ from fibaction.border.abc import FeedbackItem, GoalRequest, GoalStream, StatusSt
 from fibaction.border.byte_budgets import ByteBudget
 from fibaction.server import goal_logs
 from fibaction.server.goal_logs import EXPIRY_STEP
+from fibaction.words.goals import Sender
 from tests.server.held import Gate, Held, packed, result, start_many, waited_for
 from tests.support.executors import Items
 from tests.support.fibonacci import FIBONACCI, Feedback, Goal, Result, fibonacci
@@ -264,6 +265,27 @@ async def test_results_give_way_to_goals_and_goals_to_nothing() -> None:
         budget_of(server).limit = 1000  # the results are larger than their goals
         executor.go.set()
         assert {(await stream.outcome()).status for stream in held} == {GoalStatus.SUCCEEDED}
+
+
+@pytest.mark.promise("RESULT-9")
+async def test_a_client_that_leaves_results_unread_sends_no_more_goals_and_others_do() -> None:
+    async def large(goal: GoalHandle[Goal]) -> Items:
+        yield Result([0] * 1000)
+
+    async with ActionServer(FIBONACCI, large, max_bytes=3500, result_timeout=0) as server:
+
+        async def sent_by(name: str) -> GoalStream:
+            sender = Sender(owner=name.encode())
+            stream = await server.send_goal(GoalID.random(), packed(1), sender=sender)
+            assert (await stream.outcome()).status is GoalStatus.SUCCEEDED
+            return stream
+
+        kept = [await sent_by("ann") for _ in range(2)]
+        with pytest.raises(GoalRejected, match="busy: its client has not read results of"):
+            await sent_by("ann")
+        await sent_by("bob")
+        kept.clear()
+        await sent_by("ann")
 
 
 async def several(statuses: StatusStream, count: int) -> AsyncIterator[GoalInfo]:

@@ -107,6 +107,25 @@ async def test_a_name_that_is_not_served_is_told_with_those_that_are() -> None:
                 assert str(caught.value).endswith(shown)
 
 
+async def test_a_client_waits_for_its_own_action_only() -> None:
+    other = Action("other", goal=Goal, feedback=Feedback, result=Result)
+    found = anyio.Event()
+    async with connect("inproc://wait", FIBONACCI) as client, anyio.create_task_group() as tasks:
+
+        async def wait() -> None:
+            await client.wait_for_server()
+            found.set()
+
+        tasks.start_soon(wait)
+        await anyio.wait_all_tasks_blocked()
+        async with serve(ActionServer(other, fibonacci), "inproc://wait"):
+            await anyio.wait_all_tasks_blocked()
+            assert not found.is_set()
+            async with serve(ActionServer(FIBONACCI, fibonacci), "inproc://wait"):
+                with anyio.fail_after(30):
+                    await found.wait()
+
+
 @pytest.mark.parametrize("stops", ["before", "meanwhile"])
 async def test_a_wait_for_a_server_is_not_ended_by_one_that_has_stopped(stops: str) -> None:
     place, found, stopped = InProcessTransport(), anyio.Event(), anyio.Event()

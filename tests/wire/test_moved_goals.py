@@ -28,6 +28,8 @@ from fibaction.words.errors import (
     ActionError,
     ConnectionLost,
     ServerFailed,
+    ServerNotFound,
+    UnknownGoal,
 )
 from fibaction.words.goals import UNKNOWN_OUTCOME, Outcome
 from tests.wire.ends import (
@@ -123,6 +125,41 @@ async def test_a_goal_goes_on_elsewhere_behind_its_last_feedback() -> None:
         assert await outcome_of(goal) == ENDED
         assert await other.hear(Received) == Received(goal.id)
         assert (goal.dropped, client.other.calls.is_empty) == (0, True)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+async def test_the_end_is_noted_for_its_first_server_only(moves: bool) -> None:
+    async with two_servers() as (client, server, other):
+        ended: list[str] = []
+        goal = await client.send(server)
+        goal.when_ended(lambda: ended.append("at the first"))
+        if moves:
+            client.one.end(GONE)
+            client.other.calls.adopt(goal, client.lose)
+            server = other
+            await server.say(following(await server.hear(Follow)))
+        await server.say(Ended(goal.id, SUCCEEDED, b"result", "", 0))
+        assert await outcome_of(goal) == ENDED
+        assert ended == ([] if moves else ["at the first"])
+
+
+@pytest.mark.parametrize(
+    ("why", "error"),
+    [
+        (Why.CONNECTION_LOST, ConnectionLost),
+        (Why.SERVER_NOT_FOUND, ServerNotFound),
+        (Why.UNKNOWN_GOAL, UnknownGoal),
+    ],
+)
+async def test_a_goal_that_its_server_does_not_have_any_more_is_lost(
+    why: int, error: type[ActionError]
+) -> None:
+    async with two_servers() as (client, one, _):
+        goal = await client.send(one)
+        await one.say(Failed(goal.id, why, "not here"))
+        await settled()
+        assert [(lost, type(reason)) for lost, reason in client.lost] == [(goal, error)]
+        assert client.one.calls.is_empty
 
 
 async def test_a_goal_whose_server_has_a_bug_is_not_lost_but_fails() -> None:

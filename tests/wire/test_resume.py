@@ -249,6 +249,22 @@ async def test_a_client_that_comes_back_while_its_goal_is_being_canceled_is_told
         assert [message.status for message in ended] == [GoalStatus.CANCELED]
 
 
+@in_virtual_time()
+async def test_a_client_that_came_back_is_not_waited_for_any_longer() -> None:
+    async with serving(held(), grace=1e9) as served:
+        client = await served.greet()
+        await client.send(1)
+        counts = set()
+        for _ in range(3):
+            await settled()
+            counts.add(len(anyio.get_running_tasks()))
+            client.channel.cut()
+            await settled()
+            client = await served.greet()
+            await client.ask(follow(0), Following)
+        assert len(counts) == 1
+
+
 async def test_the_goal_of_a_client_that_leaves_is_canceled_at_once() -> None:
     async with serving(held(), then="cancel") as served:
         client, other = await served.greet(ANN), await served.greet(BOB)

@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from fibaction import GoalInfo, Parent
+from fibaction._runtime.text import LENGTH
 from fibaction.border.abc import ForwardingEndpoint, GoalRequest, GoalStream
 from fibaction.feeds.feedback_log import FeedbackCursor
 from fibaction.server import ActionServer
@@ -159,12 +160,13 @@ async def test_a_client_that_leaves_is_not_answered_and_its_reason_is_one_line_o
     async with serving(held()) as served:
         client = await served.greet()
         with logged() as lines:
-            last = Goodbye("done\nWARNING:fibaction.wire:10.0.0.1:80: all is lost")
+            last = Goodbye("done\nWARNING:fibaction.wire:10.0.0.1:80: all is lost" + "!" * 1000)
             await client.say(last, ListActions(1))
             await client.hear_the_end()
         ((level, text),) = texts(lines)
         assert (level, "\n" in text) == (logging.INFO, False)
         assert text.startswith("the client left: done\\x0aWARNING")
+        assert len(text) < LENGTH + 100
 
 
 # Goals

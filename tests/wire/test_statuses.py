@@ -28,13 +28,14 @@ from fibaction.wire.messages import (
     past_fields,
 )
 from fibaction.wire.settings import WireSettings
-from fibaction.words.errors import LimitReached, ProtocolError
+from fibaction.words.errors import ConnectionLost, LimitReached, ProtocolError
 from fibaction.words.goal_query import GoalQuery, PastPage
 from fibaction.words.goals import GoalID, GoalInfo
 from fibaction.words.statuses import GoalStatus
 from tests.wire.ends import (
     ANY,
     EXECUTING,
+    ONCE,
     WINDOW,
     Network,
     asked_again,
@@ -131,6 +132,24 @@ async def test_a_follower_that_gives_up_before_the_answer_leaves_the_call_to_the
         async with Running(lambda: connection.endpoint(OTHER).status()):
             asked = await server.hear(WatchStatus)
         assert await server.hear_all() == [Close(asked.id)]
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+async def test_a_list_that_ends_early_has_what_has_come_unless_the_connection_is_lost(
+    is_lost: bool,
+) -> None:
+    async with reached(settings=ONCE) as (connection, server):
+        statuses, call_id = await watched(connection, server, known=2)
+        async with Running(statuses.listed) as listing:
+            await told(server, change(call_id, 1))
+            assert not listing.is_done
+            if is_lost:
+                server.channel.cut()
+                with pytest.raises(ConnectionLost):
+                    await listing.answer()
+            else:
+                await server.say(Finished(call_id))
+                assert [info.stamp for info in await listing.answer()] == [1]
 
 
 async def test_an_error_and_an_end_are_for_all_followers() -> None:
