@@ -384,13 +384,10 @@ async def test_a_closed_end_is_gone_from_the_graph_and_says_so(scheme: str) -> N
             await read.wait()
 
 
-async def test_calls_for_one_message_share_a_subscription_which_is_closed_after_a_while(
-    scheme: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(topics, "KEPT_OPEN", 0.3)
+async def test_calls_for_one_message_share_a_subscription(scheme: str) -> None:
     text_type = structs_of([read_message(STRING, SearchPath((), ()))])["String"]
     async with two_nodes(scheme) as (robot, planner):
-        odom, chart = robot.publisher("odom", STRING), robot.publisher("chart", STRING)
+        odom = robot.publisher("odom", STRING)
         kept = robot.publisher("map", STRING, qos="transient_local")
         await kept.publish({"data": "kept"})
         for _ in range(2):
@@ -410,8 +407,19 @@ async def test_calls_for_one_message_share_a_subscription_which_is_closed_after_
                 await anyio.wait_all_tasks_blocked()
                 await odom.publish({"data": text})
         assert heard == ["a"] * 3 + ["b"] * 3  # each call has the message that comes after it
+
+
+async def test_a_subscription_that_no_call_used_for_a_while_is_closed(
+    scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(topics, "KEPT_OPEN", 0.05)
+    async with two_nodes(scheme) as (robot, planner):
+        chart = robot.publisher("chart", STRING)
+        kept = robot.publisher("map", STRING, qos="transient_local")
+        await kept.publish({"data": "kept"})
         assert planner.latest("chart", STRING) is None
-        await until(lambda: not odom.reader_count() and not kept.reader_count())
+        await planner.next("map", STRING, qos="transient_local", timeout=PATIENCE)
+        await until(lambda: not kept.reader_count() and chart.reader_count() == 1)
         assert planner._newest._shared.keys() == {(chart.topic, STRING, EndQos())}
         with pytest.raises(TimeoutError, match=r"nothing arrived on .*/odom in 0.01 s"):
             await planner.next("odom", STRING, timeout=0.01)
