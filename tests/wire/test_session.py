@@ -200,6 +200,28 @@ async def test_a_client_that_wants_the_end_only_is_told_no_more() -> None:
         assert [kinds(heard[request]) for request in (1, 2)] == [[Following, Ended]] * 2
 
 
+async def test_a_goal_that_is_sent_with_a_goodbye_is_decided_anew_when_it_is_sent_again() -> None:
+    """The session is over before a task of it could wait for the answer."""
+    asked = 0
+    decide = anyio.Event()
+
+    async def on_goal(goal: fib.Goal) -> None:
+        nonlocal asked
+        asked += 1
+        await decide.wait()
+
+    async with serving(ActionServer(FIBONACCI, fib.fibonacci, on_goal=on_goal)) as served:
+        client = await served.greet()
+        await client.say(send(1), Goodbye("never mind"))
+        await client.hear_the_end()
+        again = await served.greet()
+        await again.say(send(1))
+        await settled()
+        assert asked == 2
+        decide.set()
+        await again.hear(Following)
+
+
 # The end, and the answer to it
 
 
