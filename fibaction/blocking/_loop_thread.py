@@ -17,7 +17,7 @@ the block may be about to begin, and Ctrl-C in that moment is to cancel the goal
 the main thread has sent last counts as one with a block (`sent`), until the thread makes another
 call, or the block of `connect` ends in another way.
 
-`hosted` keeps an async context manager open in one task, which must enter it and leave it. `stop`
+`enter` keeps an async context manager open in one task, which must enter it and leave it. `stop`
 ends the loop: calls that still run are canceled, and calls that come later raise `ConnectionLost`.
 """
 

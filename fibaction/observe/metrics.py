@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry, Counter
     from prometheus_client.core import Metric
 
+__all__ = ["CONTENT_TYPE", "Metrics"]
+
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """The content type of the text format of Prometheus."""
 OPENMETRICS_CONTENT_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
@@ -62,8 +64,6 @@ def _weight_of(text: str) -> float:
         return 0.0
     return weight if 0 <= weight <= 1 else 0.0
 
-
-__all__ = ["CONTENT_TYPE", "Metrics"]
 
 DURATIONS = (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 60, 300, 900, 3600)
 """Bounds of the buckets for durations, in seconds."""

@@ -39,6 +39,19 @@ from fibaction.words.errors import ActionError
 from fibaction.words.goals import NO_GOAL, CancelAnswer, GoalID, GoalInfo, Outcome
 from fibaction.words.statuses import GoalStatus
 
+__all__ = [
+    "ActionListener",
+    "ActionSnapshot",
+    "AnyClient",
+    "GoalKey",
+    "GoalSnapshot",
+    "Monitor",
+    "Snapshot",
+    "follow_action",
+    "follow_actions",
+    "newest_active_first",
+]
+
 SPAN = 5.0
 """Seconds over which a rate is measured: a shorter span flickers, a longer one is late."""
 
@@ -133,19 +146,6 @@ class MonitoredGoal:
                 self.latest = summarize(self._new.feedback)
             self._new = None
 
-
-__all__ = [
-    "ActionListener",
-    "ActionSnapshot",
-    "AnyClient",
-    "GoalKey",
-    "GoalSnapshot",
-    "Monitor",
-    "Snapshot",
-    "follow_action",
-    "follow_actions",
-    "newest_active_first",
-]
 
 MOST_GOALS = 10_000
 """Goals that a monitor keeps; each costs time at every snapshot."""

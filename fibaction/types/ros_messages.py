@@ -257,7 +257,7 @@ def _declared(message: object, info: inspect.Type) -> Any:
 
 
 LARGE_ARRAY = 256
-"""Numbers from which on it is worth it. With fewer, msgspec is as fast."""
+"""Numbers of an array from which on it is packed here. With fewer, msgspec is as fast."""
 
 # In msgpack, a number is a byte for its type, and then the number itself, big-endian. Integers from
 # -32 to 127 are one byte in all (github.com/msgpack/msgpack/blob/master/spec.md).

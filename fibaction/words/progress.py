@@ -1,4 +1,4 @@
-"""The values that an executor yields: `Progress`, and the rule for other feedback, and `Return`.
+"""The values that an executor yields: `Progress`, the rule for other feedback, and `Return`.
 
 Sans-I/O. The command line, `top`, MCP and `track` ask a `ProgressMeter`; the console has the same
 rule in `schema.js`.

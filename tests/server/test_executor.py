@@ -175,7 +175,7 @@ async def test_what_went_wrong_keeps_nothing_of_its_goal(
         gc.enable()
 
 
-@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # for trio see `_Steps`
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # for trio see `interruption`
 async def test_shielded_clean_up_inside_a_task_group_keeps_no_cancellation_back() -> None:
     cleaned = []
 

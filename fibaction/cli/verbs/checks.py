@@ -175,7 +175,7 @@ def _count(names: tuple[str, ...], what: str) -> str:
 
 
 WHERE = "dds://"
-"""The default URL: that of the transport whose servers are discovered."""
+"""The default URL of `doctor`: that of the transport whose servers are discovered."""
 Fact: TypeAlias = "dict[str, Fact] | list[Fact] | str | int | float | bool"
 """A fact of a diagnosis: a value of JSON."""
 _INDENT = "    "
@@ -260,7 +260,7 @@ def _words(name: str, *, first: bool = True) -> str:
 
 
 def _given(context: click.Context) -> str:
-    """Return the URL that the user has given elsewhere than to this verb; empty if none."""
+    """Return the URL that the user has given elsewhere than to `doctor`; empty if none."""
     root = context.find_root()
     source = root.get_parameter_source("url")
     is_given = source is not click.core.ParameterSource.DEFAULT or root.params["address"]

@@ -6,10 +6,9 @@ with the goal, `status`, `feedback`, `end` with the result, and `left`. The line
 one, so a file may be larger than the memory.
 
 `export_mcap` is for Foxglove and other viewers. It needs mcap, which
-`pip install "fibaction[mcap]"` installs. Each action has the topics
-`goal`, `status`, `feedback`, `result` and `cancel` below its name, with JSON messages and their
-JSON Schemas: what an event says about its goal, and below `data` the goal, the feedback or the
-result itself.
+`pip install "fibaction[mcap]"` installs. Each action has the topics `goal`, `status`, `feedback`,
+`result` and `cancel` below its name, with JSON messages and their JSON Schemas: what an event says
+about its goal, and below `data` the goal, the feedback or the result itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Records and messages of a fleet, as values and as bytes.
+"""Records and messages of a fleet, as values and as bytes; and the record of a key that comes next.
 
 `GoalEntry` is the record of a goal. Whoever writes it names the sequence of the entry that it
 replaces, so exactly one worker can: the entry is the ownership. `LeaseEntry` is the record of a

@@ -1,7 +1,7 @@
 """The submessages of RTPS, as values.
 
-`decoder` reads them, and `encoder` writes them. Each class is named by what it says; its name in
-the specification is in its description.
+`codec` reads and writes them. Each class is named by what it says; its name in the specification is
+in its description.
 """
 
 from __future__ import annotations
