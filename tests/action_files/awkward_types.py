@@ -4,19 +4,12 @@ Written by `fibaction gen` from Awkward.action.
 Change that file, not this one.
 """
 
-from builtins import bool as bool_
-from builtins import bytes as bytes_
-from builtins import float as float_
-from builtins import int as int_
-from builtins import list as list_
-from builtins import range as range_
-from builtins import str as str_
+from builtins import bool as bool_, bytes as bytes_, float as float_, int as int_, list as list_, range as range_, str as str_
 from typing import Annotated, ClassVar
 
 from fibaction import Action
-from fibaction.ros_types import Byte, Int8, Int32
-from msgspec import Meta, Struct
-from msgspec import field as field_
+from fibaction.ros_types import Byte, Int32, Int8
+from msgspec import Meta, Struct, field as field_
 
 
 class Step(Struct, forbid_unknown_fields=True, kw_only=True):

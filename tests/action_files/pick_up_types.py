@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from fibaction import Action
 from fibaction.action_files import define_action
-from fibaction.ros_types import Int8, Int32, UInt8, UInt16, UInt32, UInt64
+from fibaction.ros_types import Int32, Int8, UInt16, UInt32, UInt64, UInt8
 from msgspec import Meta, Struct, field
 
 
