@@ -1,4 +1,6 @@
-"""The border for authors of transports: it is documented, and our transports use nothing else."""
+"""The border for authors of transports: it is documented, our transports use nothing else, and its
+budgets count bytes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signals: the first, the second, and a signal that ends what would continue for ever."""
+"""Signals: the first, the second, one that ends what continues forever; and the last seconds."""
 
 from __future__ import annotations
 

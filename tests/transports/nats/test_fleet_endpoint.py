@@ -1,4 +1,4 @@
-"""Goals, cancels and results of a fleet, at whichever worker they are."""
+"""Goals, cancels, results and logs of a fleet, at whichever worker they are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The history of a fleet: goals that are added to it, and pages that are read, in memory."""
+"""The history of a fleet: goals that are added, pages that are read, and goals it gave up."""
 
 from __future__ import annotations
 

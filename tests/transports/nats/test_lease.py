@@ -1,4 +1,4 @@
-"""The lease of a worker: when it is renewed, when it is given up, and who may have its name."""
+"""The lease of a worker: when it is renewed, also by a thread, when it ends, and whose it is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nats://` URLs, and the transport as a whole."""
+"""`nats://` URLs, the names in the subjects, and the transport as a whole."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from fibaction_transports.ros2.node.parts import (
 from fibaction_transports.ros2.node.ros_node import RosClock, RosGraph, RosNode
 from fibaction_transports.ros2.qos import EndQos
 from fibaction_transports.ros2.settings import NodeSettings
-from fibaction_transports.ros2.without_ros.descriptions import described_types as messages
+from fibaction_transports.ros2.without_ros.descriptions import described_types
 from fibaction_transports.ros2.without_ros.descriptions.described_types import GET_TYPE_DESCRIPTION
 from fibaction_transports.ros2.without_ros.descriptions.type_learner import (
     ActionQuestions,
@@ -91,41 +91,43 @@ class TypeRegistry:
             self._seen.add(definition.type_name)
             self._new.append(definition)
 
-    def answer(self, request: messages.DescriptionRequest) -> messages.DescriptionResponse:
+    def answer(
+        self, request: described_types.DescriptionRequest
+    ) -> described_types.DescriptionResponse:
         """Describe a type."""
         if not _HASH.fullmatch(request.type_hash):
-            return messages.DescriptionResponse(failure_reason=NOT_A_HASH)
+            return described_types.DescriptionResponse(failure_reason=NOT_A_HASH)
         self._by_hash |= {type_hash(one): one for one in self._new}
         self._new.clear()
         found = self._by_hash.get(request.type_hash)
         if found is None:
-            return messages.DescriptionResponse(failure_reason=NOT_USED)
+            return described_types.DescriptionResponse(failure_reason=NOT_USED)
         sources = list(_sources(found)) if request.include_type_sources else []
-        return messages.DescriptionResponse(
+        return described_types.DescriptionResponse(
             successful=True, type_description=_described(found), type_sources=sources
         )
 
 
-def _described(definition: InterfaceMessage) -> messages.TypeDescription:
+def _described(definition: InterfaceMessage) -> described_types.TypeDescription:
     whole = type_description(definition)
-    return messages.TypeDescription(
+    return described_types.TypeDescription(
         _individual(whole["type_description"]),
         [_individual(one) for one in whole["referenced_type_descriptions"]],
     )
 
 
-def _individual(description: Description) -> messages.IndividualTypeDescription:
+def _individual(description: Description) -> described_types.IndividualTypeDescription:
     fields = [
-        messages.FieldDescription(
+        described_types.FieldDescription(
             field["name"],
-            messages.FieldTypeDescription(**field["type"]),
+            described_types.FieldTypeDescription(**field["type"]),
         )
         for field in description["fields"]
     ]
-    return messages.IndividualTypeDescription(description["type_name"], fields)
+    return described_types.IndividualTypeDescription(description["type_name"], fields)
 
 
-def _sources(definition: InterfaceMessage) -> Iterator[messages.TypeSource]:
+def _sources(definition: InterfaceMessage) -> Iterator[described_types.TypeSource]:
     """Yield the texts of a type, and of all that it nests."""
     seen: set[str] = set()
     left = [definition]
@@ -135,7 +137,7 @@ def _sources(definition: InterfaceMessage) -> Iterator[messages.TypeSource]:
             continue
         seen.add(one.type_name)
         left.extend(one.nested.values())
-        yield messages.TypeSource(one.type_name, *_source_text(one))
+        yield described_types.TypeSource(one.type_name, *_source_text(one))
 
 
 def _source_text(definition: InterfaceMessage) -> tuple[str, str]:
