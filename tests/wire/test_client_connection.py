@@ -585,6 +585,26 @@ async def test_a_connection_that_is_left_while_it_is_being_lost_does_not_come_ba
         await endpoint_of(connection).wait_for_server()
 
 
+async def test_a_connection_that_is_left_before_it_is_welcome_again_stays_left() -> None:
+    network = Network()
+    async with anyio.create_task_group() as tasks:
+        async with reached(network) as (connection, server):
+            network.closes = False
+            server.channel.cut()
+            again, _ = await network.reached()
+
+            async def welcome_late() -> None:
+                await again.hear(Goodbye)
+                await settled()
+                await again.say(Welcome(VERSION, LONG, MAX_FRAME))
+                await settled()
+                again.channel.cut()
+
+            tasks.start_soon(welcome_late)
+    with anyio.fail_after(5), pytest.raises(ConnectionLost):
+        await connection.actions()
+
+
 @in_virtual_time()
 async def test_leaving_a_server_that_does_not_read_takes_a_second() -> None:
     async with reached() as (_, server):

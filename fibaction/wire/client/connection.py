@@ -232,6 +232,8 @@ class RemoteConnection(Connection):
         assert self._link is not None
         if self._reconnector.is_open or welcome.version != VERSION:
             raise ProtocolError(f"a Welcome of version {welcome.version} was not expected")
+        if self._reconnector.is_final:
+            return  # the client is leaving, and its calls have ended
         self._link.heartbeat.agree(welcome.heartbeat, welcome.max_heartbeat)
         self.lost_at = None
         self._release = shortened(welcome.release, LONGEST_RELEASE)

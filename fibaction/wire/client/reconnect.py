@@ -60,13 +60,14 @@ class Reconnector:
         self._settings = settings
         self._attempt = attempt
         self._fail_calls = fail_calls
-        self._is_final = False
         self._absent: ActionError | None = None  # why new calls fail at once
         self._patience: CancelScope | None = None  # while calls wait for a lost connection
         self._last_error: ActionError  # of the attempt before this one
         self._changed = Notifier()
         self.is_open = False
         """True if the server has let this client in, and the connection has not ended."""
+        self.is_final = False
+        """True if there will not be another connection: it was left, or no attempt is of use."""
         self.absence: Absence | None = None
         """The time since the connection was lost; None while there is one."""
         self.changes = 0
@@ -88,12 +89,12 @@ class Reconnector:
         Raises:
             ActionError: There will not be another.
         """
-        while self.changes == since and not self._is_final:
+        while self.changes == since and not self.is_final:
             await self._changed.wait()
         self._check()
 
     def _check(self) -> None:
-        if self._is_final and self._absent is not None:
+        if self.is_final and self._absent is not None:
             raise copy_of(self._absent)
 
     async def run(self) -> None:
@@ -113,7 +114,7 @@ class Reconnector:
     def stop(self, error: ActionError | None = None) -> None:
         """End the connection for good, with that error, or because it was closed here."""
         closed = ConnectionLost(f"the connection to {self._url} was closed here")
-        self._is_final = True
+        self.is_final = True
         self._give_up(error or closed)
 
     async def _keep_connecting(self, tasks: TaskGroup) -> None:
@@ -129,10 +130,10 @@ class Reconnector:
                 tasks.start_soon(self._lose_patience, self._patience, ends)
                 logger.info("%s", naming(self._url, error))
             if _would_come_again(error) or not self._settings.reconnect:
-                self._is_final = True  # if the connection was left meanwhile, it is so already
-            if self._is_final or self._patience is None:
+                self.is_final = True  # if the connection was left meanwhile, it is so already
+            if self.is_final or self._patience is None:
                 self._give_up(error)
-            if self._is_final:
+            if self.is_final:
                 return
             await anyio.sleep(pause * random.uniform(0.5, 1))  # not a secret
             pause = min(2 * pause, LONGEST_PAUSE)
