@@ -393,7 +393,7 @@ async def test_calls_for_one_message_share_a_subscription(scheme: str) -> None:
         for _ in range(2):
             found = await planner.next("map", STRING, qos="transient_local", timeout=PATIENCE)
             assert found.data == "kept"
-        assert kept.reader_count() == 1
+        await until(lambda: kept.reader_count() > 0)  # over Zenoh it may come after its message
         heard: list[str] = []
 
         async def hear(type_: Any) -> None:
@@ -407,6 +407,7 @@ async def test_calls_for_one_message_share_a_subscription(scheme: str) -> None:
                 await anyio.wait_all_tasks_blocked()
                 await odom.publish({"data": text})
         assert heard == ["a"] * 3 + ["b"] * 3  # each call has the message that comes after it
+        assert kept.reader_count() == 1
 
 
 async def test_a_subscription_that_no_call_used_for_a_while_is_closed(
@@ -419,8 +420,8 @@ async def test_a_subscription_that_no_call_used_for_a_while_is_closed(
         await kept.publish({"data": "kept"})
         assert planner.latest("chart", STRING) is None
         await planner.next("map", STRING, qos="transient_local", timeout=PATIENCE)
+        await until(lambda: planner._newest._shared.keys() == {(chart.topic, STRING, EndQos())})
         await until(lambda: not kept.reader_count() and chart.reader_count() == 1)
-        assert planner._newest._shared.keys() == {(chart.topic, STRING, EndQos())}
         with pytest.raises(TimeoutError, match=r"nothing arrived on .*/odom in 0.01 s"):
             await planner.next("odom", STRING, timeout=0.01)
 

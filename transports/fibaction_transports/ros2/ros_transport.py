@@ -1,13 +1,12 @@
 """The common part of the transports of ROS 2, whatever the middleware: settings, URLs, and both
-halves, also at a node that is open already.
+halves.
 """
 
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from types import TracebackType
-from typing import Any, TypeVar, cast
+from typing import Any
 from urllib.parse import SplitResult, urlencode
 
 import msgspec
@@ -20,8 +19,8 @@ from fibaction_transports.ros2.client.diagnosis import diagnose_graph
 from fibaction_transports.ros2.client.endpoint import connect_actions
 from fibaction_transports.ros2.names import ActionNames, action_names
 from fibaction_transports.ros2.node.middlewares import LOCALHOST, middlewares_at
-from fibaction_transports.ros2.node.parts import FEEDBACK, NodePart
-from fibaction_transports.ros2.node.ros_node import NodeLife, RosAdapter, RosNode, RosTypes
+from fibaction_transports.ros2.node.parts import FEEDBACK
+from fibaction_transports.ros2.node.ros_node import RosAdapter, RosTypes
 from fibaction_transports.ros2.server.action_server import ServedEndpoint, serve_actions
 from fibaction_transports.ros2.settings import RosSettings
 
@@ -138,60 +137,3 @@ def _served(endpoints: Sequence[Endpoint], types: RosTypes) -> list[ServedEndpoi
     if errors:
         raise TransportError(";\n".join(errors))
     return served
-
-
-PartT = TypeVar("PartT", bound=NodePart)
-
-
-class PartsOfBlock(NodeLife):
-    """A view of a node that removes at the end of a block what was made through it.
-
-    The two halves of the transport leave their parts to the end of their node, which is another
-    one here, and a client ends what waits by the end of its node.
-    """
-
-    def __init__(self, ros: RosNode) -> None:
-        super().__init__()
-        self._ros = ros
-        self._parts: list[NodePart] = []
-
-    @property
-    def is_up(self) -> bool:
-        return self._ros.is_up and self.error is None
-
-    def __enter__(self) -> RosNode:
-        self._forget = self._ros.on_loss(self.fail)
-        return cast("RosNode", self)
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._forget()
-        for part in reversed(self._parts):
-            self._ros.remove(part)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._ros, name)
-
-    def _keep(self, part: PartT) -> PartT:
-        self._parts.append(part)
-        return part
-
-    def publisher(self, *given: Any, **named: Any) -> Any:
-        """See `RosNode.publisher`; the others likewise."""
-        return self._keep(self._ros.publisher(*given, **named))
-
-    def subscription(self, *given: Any, **named: Any) -> Any:
-        return self._keep(self._ros.subscription(*given, **named))
-
-    def caller(self, *given: Any, **named: Any) -> Any:
-        return self._keep(self._ros.caller(*given, **named))
-
-    def provider(self, *given: Any, **named: Any) -> Any:
-        return self._keep(self._ros.provider(*given, **named))
-
-    def life_watch(self, *given: Any, **named: Any) -> Any:
-        return self._keep(self._ros.life_watch(*given, **named))

@@ -27,6 +27,7 @@ from fibaction_transports.ros2.messaging.services import (
     ServiceFunction,
     forms_of,
 )
+from fibaction_transports.ros2.messaging.shared import PartsOfBlock
 from fibaction_transports.ros2.messaging.topics import (
     NewestMessages,
     Publisher,
@@ -37,7 +38,7 @@ from fibaction_transports.ros2.messaging.transforms import Transform, TransformR
 from fibaction_transports.ros2.node.parts import GraphView
 from fibaction_transports.ros2.node.ros_node import RosAdapter, RosNode
 from fibaction_transports.ros2.qos import EndQos, suiting
-from fibaction_transports.ros2.ros_transport import PartsOfBlock, RosTransport
+from fibaction_transports.ros2.ros_transport import RosTransport
 from fibaction_transports.ros2.server.service_server import ServiceServers
 from fibaction_transports.ros2.settings import RosSettings
 
