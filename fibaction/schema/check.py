@@ -66,7 +66,8 @@ class SchemaError(ValueError):
     """
 
 
-def _is_text(value: object) -> bool:
+def is_text(value: object) -> bool:
+    """Return whether a value is a text."""
     return isinstance(value, str)
 
 
@@ -79,15 +80,15 @@ def _is_unit(value: object) -> bool:
 
 
 def _is_names(value: object) -> bool:
-    return is_list(value) and all(map(_is_text, value))
+    return is_list(value) and all(map(is_text, value))
 
 
 def _is_type(value: object) -> bool:
-    return _is_text(value) or _is_names(value)
+    return is_text(value) or _is_names(value)
 
 
 _SHAPES: dict[str, Callable[[object], bool]] = {
-    **dict.fromkeys((*REFERENCES, "format", "contentEncoding"), _is_text),
+    **dict.fromkeys((*REFERENCES, "format", "contentEncoding"), is_text),
     **dict.fromkeys(("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"), is_number),
     **dict.fromkeys(("minLength", "maxLength", "minItems", "maxItems"), _is_count),
     **dict.fromkeys(("minProperties", "maxProperties"), _is_count),

@@ -16,20 +16,15 @@ from typing import Annotated, Any, Protocol, TypeAlias
 
 import msgspec
 
-from fibaction.schema.check import Check, Extent, Mismatch, are_equal
+from fibaction.schema.check import Check, Extent, Mismatch, are_equal, is_text
 from fibaction.words.plain_data import is_list, is_map, is_number
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
 
 _IS_TYPE: dict[str, Callable[[Any], bool]] = {
     "null": lambda value: value is None,
     "boolean": lambda value: isinstance(value, bool),
     "integer": lambda value: is_number(value) and (isinstance(value, int) or value.is_integer()),
     "number": is_number,
-    "string": _is_text,
+    "string": is_text,
     "array": is_list,
     "object": is_map,
 }

@@ -35,6 +35,8 @@ from fibaction.words.statuses import GoalStatus
 LAST_SECONDS = 0.5
 """Seconds between the stop of all servers and the end of the process, at most."""
 
+HANDED_ON = ("store", "sync", "history", "drain", "metrics", "record")
+"""Options that each process which `--reload` starts gets, if they have a value."""
 COLLECTIONS = (20_000, 20, 20)
 """Thresholds of the garbage collector while goals run; by default the first is 700, and the others
 are 10."""
@@ -126,12 +128,9 @@ def serve_command(
         store = os.path.abspath(store)  # the module may change the folder when it is imported
     with log_with_time(as_json=log_json):
         if reload:
-            options = {
-                **{"--store": store, "--sync": None if store is None else sync},
-                **{"--history": history, "--drain": drain or None, "--metrics": metrics},
-                "--record": record,
-            }
-            given = [f"{name}={value}" for name, value in options.items() if value is not None]
+            values = store, store and sync, history, drain or None, metrics, record
+            options = dict(zip(HANDED_ON, values, strict=True))
+            given = [f"--{name}={value}" for name, value in options.items() if value is not None]
             given += ["--log-json"] if log_json else []
             run_reloading(target, urls, url_of(context), given, drain)
         else:
